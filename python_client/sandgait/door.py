@@ -54,7 +54,10 @@ class Door(Protocol):
         self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
     ) -> None: ...
 
-    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None: ...
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None) -> None: ...
+
+    def step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None) -> Batch:
+        """`send_step` and `receive`. After an interrupt `receive` gives the answer."""
 
     def send_command(self, commands: npt.NDArray[np.float32]) -> None: ...
 
@@ -111,8 +114,11 @@ class Local:
     ) -> None:
         self._native.send_reset(seeds, None if mask is None else mask.tobytes(), options)
 
-    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
-        self._native.send_step(actions, None if held is None else held.tobytes(), here)
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None) -> None:
+        self._native.send_step(actions, None if held is None else held.tobytes())
+
+    def step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None) -> Batch:
+        return Batch._make(self._native.step(actions, None if held is None else held.tobytes()))
 
     def send_command(self, commands: npt.NDArray[np.float32]) -> None:
         self._native.send_command(commands)

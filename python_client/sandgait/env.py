@@ -121,11 +121,11 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         session = self._session
         try:
             self._in_flight, self._batch = row.copy(), None
-            session.send_step(row[None], here=True)
+            self._batch = session.step(row[None])
         except BaseException as error:
             if isinstance(error, SandgaitError) or not session.owes:
                 self._in_flight = None
-            raise
+            raise self._actions.explain(error) from None
         return self._answer()
 
     def _answer(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

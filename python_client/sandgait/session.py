@@ -148,8 +148,12 @@ class Session:
     ) -> None:
         self.send(client.reset_request(seeds, mask, options))
 
-    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
-        self.send(client.step_request(actions, held), here)
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None) -> None:
+        self.send(client.step_request(actions, held))
+
+    def step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None) -> Batch:
+        self.send(client.step_request(actions, held), here=True)
+        return self.receive()
 
     def send_command(self, commands: npt.NDArray[np.float32]) -> None:
         self.send(Request.set_command(commands))

@@ -76,19 +76,24 @@ class Shards:
             chosen = None if mask is None else mask[part]
             door.send_reset(None if seeds is None else seeds[part], chosen, options)
 
-    def send_step(
-        self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None, here: bool = False
-    ) -> None:
-        """Asks for a step. `actions` is f32 [num_envs, action]; environments in `held` [num_envs] keep their state.
-        `here`: next the caller waits for this step, so its thread may compute it. Each place checks the actions'
-        bounds. With several places this function checks them first; else one place might refuse its actions while the
-        others make the step."""
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> None:
+        """Asks for a step. `actions` is f32 [num_envs, action]; environments in `held` [num_envs] keep their state. Each
+        place checks the actions' bounds. With several places this function checks them first; else one place might
+        refuse its actions while the others make the step."""
         if len(self._doors) == 1:
-            self._doors[0].send_step(actions, held, here)
+            self._doors[0].send_step(actions, held)
             return
         self._check(actions)
         for door, part in zip(self._doors, self._slices, strict=True):
-            door.send_step(actions[part], None if held is None else held[part], False)
+            door.send_step(actions[part], None if held is None else held[part])
+
+    def step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> Batch:
+        """`send_step` and `receive`, in less time: this thread may compute a part of the step. After an interrupt
+        `receive` gives the answer."""
+        if len(self._doors) == 1:
+            return self._doors[0].step(actions, held)
+        self.send_step(actions, held)
+        return self.receive()
 
     def send_command(self, commands: npt.NDArray[np.float32]) -> None:
         """Asks for new commands, f32 [num_envs, 3], in the present episodes."""

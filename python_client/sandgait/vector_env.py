@@ -19,7 +19,7 @@ from .batches import Batch, Rollout
 from .errors import InvalidRequest, OutOfOrder, SandgaitError, UnknownAttribute, unknown
 from .pickling import Origin, Pickled
 from .policies import read_policy
-from .shards import Address
+from .shards import Address, Shards
 from .snapshots import FilePath, read_snapshot, write_snapshot
 from .spaces import Actions, box, check_seed, commands, info_columns, privileged
 from .view import RENDER_MODES, SIZE
@@ -213,15 +213,28 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def step(self, actions: npt.ArrayLike) -> Step:
         """Makes one control step of every environment. `actions` is [num_envs, action] within the bounds."""
-        self._send(actions, here=True)
+        session, turn, rows, held = self._next_step(actions)
+        try:
+            turn.in_flight, turn.batch = True, None
+            turn.batch = session.step(rows, held)
+        except BaseException as error:
+            raise self._failed(error) from None
         return self.recv()
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Starts a step and returns at once; `recv` waits for the result."""
-        self._send(actions, here=False)
+        session, turn, rows, held = self._next_step(actions)
+        try:
+            turn.in_flight, turn.batch = True, None
+            session.send_step(rows, held)
+        except BaseException as error:
+            raise self._failed(error) from None
 
-    def _send(self, actions: npt.ArrayLike, here: bool) -> None:
-        """Starts a step. `here`: next the caller waits for its result."""
+    def _next_step(
+        self, actions: npt.ArrayLike
+    ) -> tuple[Shards, _Turn, npt.NDArray[np.float32], Flags | None]:
+        """Checks that a step may begin now. Returns its place, the turn, its actions, and the environments that it
+        leaves."""
         turn = self._turn
         if turn.in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
@@ -234,13 +247,12 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             )
         if held is not None:
             rows = np.where(held[:, None], np.float32(0.0), rows)  # held environments ignore their actions
-        session = self._session
-        try:
-            turn.in_flight, turn.batch = True, None
-            session.send_step(rows, held, here)
-        except BaseException as error:
-            turn.in_flight = session.owes and not isinstance(error, SandgaitError)
-            raise self._actions.explain(error) from None
+        return self._session, turn, rows, held
+
+    def _failed(self, error: BaseException) -> BaseException:
+        """What to raise after a step has failed or was interrupted."""
+        self._turn.in_flight = self._session.owes and not isinstance(error, SandgaitError)
+        return self._actions.explain(error)
 
     def recv_batch(self) -> Batch:
         """The result of `recv` as arrays, always in the mode SAME_STEP and without gymnasium's dictionaries."""

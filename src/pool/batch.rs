@@ -198,7 +198,7 @@ impl Batch {
             return Err(self.wrong_rows("actions", actions.len(), self.spec().action.len()));
         }
         self.check_actions(&actions, |row| format!("actions[{row}]"))?;
-        Ok(Operation::Step { actions, held: None })
+        Ok(Operation::Step { actions, held: None, gather: None })
     }
 
     /// The error that `field` has `got` numbers, and not `width` numbers for each environment.
@@ -213,7 +213,7 @@ impl Batch {
             return Err(Error::invalid("held", format!("{} entries for {} environments", held.len(), self.envs)));
         }
         match self.step(actions)? {
-            Operation::Step { actions, .. } => Ok(Operation::Step { actions, held: Some(held) }),
+            Operation::Step { actions, gather, .. } => Ok(Operation::Step { actions, held: Some(held), gather }),
             other => Ok(other),
         }
     }

@@ -27,7 +27,7 @@ mod threads;
 
 pub use batch::{Account, Batch, Stop, check_envs};
 pub use building::Building;
-pub use operation::{Operation, Roll};
+pub use operation::{Gather, Operation, Roll};
 pub use preparing::{Prepared, Preparing};
 pub use seal::Seal;
 pub use snapshot::Snapshot;

@@ -1,15 +1,20 @@
 //! The operations on a batch, and how a thread carries them out on one shard.
 
 use crate::env::episode::Episode;
+use crate::env::shard::Rows;
 use crate::env::{AnyTask, Shard};
 use crate::policy::Network;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// A function that gets the rows of each shard that has made its step, and the number of its first environment. The thread
+/// that made the step calls it, while the rows are in its processor's cache.
+pub type Gather = Arc<dyn Fn(usize, &Rows) + Send + Sync>;
+
 /// A checked request. Only [`super::Batch`] makes operations, so a pool gets no malformed operations.
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<ResetTasks> },
-    Step { actions: Vec<f32>, held: Option<Vec<bool>> },
+    Step { actions: Vec<f32>, held: Option<Vec<bool>>, gather: Option<Gather> },
     Restore { episodes: Vec<Arc<Episode>> },
     Command(Vec<[f64; 3]>),
     Roll(Roll),
@@ -80,6 +85,14 @@ impl Roll {
 }
 
 impl Operation {
+    /// The same step, whose rows `gather` gets. Other operations do not change.
+    pub fn gathered(self, gather: Option<Gather>) -> Self {
+        match self {
+            Self::Step { actions, held, .. } => Self::Step { actions, held, gather },
+            other => other,
+        }
+    }
+
     /// Its name in logs and metrics.
     pub fn name(&self) -> &'static str {
         match self {
@@ -116,9 +129,13 @@ impl Operation {
     pub(super) fn run(&self, shard: &mut Shard, start: usize, done: &mut usize) -> bool {
         let (envs, width) = (shard.envs(), shard.actions());
         match self {
-            Self::Step { actions, held } => {
+            Self::Step { actions, held, gather } => {
                 let actions = &actions[start * width..][..envs * width];
-                return shard.step_part(actions, |i| held.as_ref().is_some_and(|held| held[start + i]), PART);
+                let done = shard.step_part(actions, |i| held.as_ref().is_some_and(|held| held[start + i]), PART);
+                if let Some(gather) = gather.as_ref().filter(|_| done) {
+                    gather(start, &shard.rows);
+                }
+                return done;
             }
             Self::Reset { chosen, seeds, tasks } => {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);

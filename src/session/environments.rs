@@ -184,12 +184,14 @@ impl EnvironmentsGuard {
         }
     }
 
-    /// The same as [`EnvironmentsGuard::run`], but this thread works, too. For short work this is faster, because fewer threads have
-    /// to wake up.
+    /// Is the work of a step so short that the caller's thread may help with it?
+    pub fn is_soon(&mut self) -> bool {
+        self.batch().shards().len() <= SOON
+    }
+
+    /// The same as [`EnvironmentsGuard::run`], but this thread works, too, and the work is done when this returns. For
+    /// work that [is soon done](Self::is_soon) this is faster, because fewer threads have to wake up.
     pub fn run_here(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
-        if self.batch().shards().len() > SOON {
-            return self.run(pool, check);
-        }
         match check(self.batch()) {
             Err(error) => self.end(Some(Answer::Refused(error))),
             Ok(operation) => {

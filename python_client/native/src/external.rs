@@ -1,6 +1,6 @@
 //! Trainings with environments of another program: `sandgait.external` steps them, in the thread that called `sandgait.train`.
 
-use crate::arrays::{Kind, array, floats, numbers};
+use crate::arrays::{array, floats, numbers};
 use parking_lot::Mutex;
 use pyo3::prelude::*;
 use sandgait::env::shard::Rows;
@@ -75,7 +75,7 @@ impl RemoteEnvironments for ExternalEnvironments {
 
     fn step(&mut self, actions: &[f32], _pause: Pause) -> Result<Rows> {
         let (rows, skipped) = self.raised.call(|py| {
-            let actions = array(py, Kind::F32, &[self.envs, actions.len() / self.envs], actions)?;
+            let actions = array(py, &[self.envs, actions.len() / self.envs], actions);
             let [observations, rewards, terminated, truncated, skipped, ended, last]: [Bound<'_, PyAny>; 7] =
                 self.vector.bind(py).call_method1("step", (actions,))?.extract()?;
             let rows = Rows {

@@ -83,6 +83,15 @@ pub fn check_camera(camera: Camera) -> PyResult<()> {
     camera_options(camera).check().map(drop).map_err(|error| raise(&error))
 }
 
+/// A step with `actions`, in which environments in `held` keep their state.
+fn step(actions: Vec<f32>, held: Option<&[u8]>) -> impl FnOnce(&mut Batch) -> sandgait::Result<Operation> + use<> {
+    let held = held.map(flags);
+    move |batch| match held {
+        None => batch.step(actions),
+        Some(held) => batch.step_but(actions, held),
+    }
+}
+
 fn flags(bytes: &[u8]) -> Vec<bool> {
     bytes.iter().map(|flag| *flag != 0).collect()
 }
@@ -128,19 +137,42 @@ impl Local {
         self.start(py, |guard, pool| guard.run(pool, |b| b.reset(mask, seeds, ResetOptions::new(changes)?)))
     }
 
-    /// `actions` is float32 [num_envs, action]; environments in `held` keep their state. `here`: the caller only
-    /// waits for this step, so its thread may compute it.
-    #[pyo3(signature = (actions, held, here))]
-    fn send_step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, held: Option<&[u8]>, here: bool) -> PyResult<()> {
-        let actions = arrays::floats(actions)?;
-        let held = held.map(flags);
+    /// `actions` is float32 [num_envs, action]; environments in `held` keep their state.
+    #[pyo3(signature = (actions, held))]
+    fn send_step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, held: Option<&[u8]>) -> PyResult<()> {
+        let check = step(arrays::floats(actions)?, held);
         let guard = self.lend(py)?;
-        let check = |b: &mut Batch| match held {
-            None => b.step(actions),
-            Some(held) => b.step_but(actions, held),
-        };
-        py.detach(|| if here { guard.run_here(&self.pool, check) } else { guard.run(&self.pool, check) });
+        py.detach(|| guard.run(&self.pool, check));
         Ok(())
+    }
+
+    /// The same, and its answer. This thread helps, and the threads that make the step fill the answer's arrays.
+    #[pyo3(signature = (actions, held))]
+    fn step<'py>(
+        &self,
+        py: Python<'py>,
+        actions: &Bound<'_, PyAny>,
+        held: Option<&[u8]>,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        let check = step(arrays::floats(actions)?, held);
+        let mut guard = self.lend(py)?;
+        if !guard.is_soon() {
+            py.detach(|| guard.run(&self.pool, check));
+            return self.receive(py);
+        }
+        let rows = arrays::RowArrays::new(py, guard.batch());
+        // SAFETY: `rows` lives until this function ends, and `run_here` returns only after the last thread has called it.
+        let gather = unsafe { rows.gather() };
+        py.detach(|| guard.run_here(&self.pool, |batch| Ok(check(batch)?.gathered(Some(gather)))));
+        let mut guard = self.lend(py)?;
+        match guard.answer() {
+            Some(Answer::Rows) => {
+                let answer = rows.answer(py, guard.batch());
+                guard.end(Some(Answer::Rows));
+                answer
+            }
+            other => Err(refused(guard, other)),
+        }
     }
 
     /// `commands` is float32 [num_envs, 3].

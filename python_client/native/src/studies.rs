@@ -79,7 +79,7 @@ pub fn study<'py>(
 fn columns<'py>(py: Python<'py>, table: &StudyTable) -> PyResult<(String, Vec<PyColumn<'py>>)> {
     let column = |column: &StudyColumn| {
         let values = match &column.values {
-            ColumnValues::Numbers(numbers) => arrays::doubles(py, numbers)?,
+            ColumnValues::Numbers(numbers) => arrays::doubles(py, numbers),
             ColumnValues::Names(names) => arrays::names(py, names)?,
         };
         Ok((column.name.clone(), column.unit.clone(), values))
