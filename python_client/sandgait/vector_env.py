@@ -112,6 +112,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._turn = _Turn(np.zeros(num_envs, dtype=np.bool_))
         self._everybody = np.ones(num_envs, dtype=np.bool_)
+        self._nobody = np.zeros(num_envs, dtype=np.bool_)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
@@ -239,7 +240,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if turn.in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
-        held = turn.ended if np.count_nonzero(turn.ended) else None
+        held = turn.ended if turn.ended is not self._nobody and turn.ended.any() else None
         if held is not None and self._autoreset is AutoresetMode.DISABLED:
             raise OutOfOrder(
                 f"step: environment {held.argmax()} has ended its episode; first reset those that have ended: "
@@ -285,8 +286,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             infos = self._infos(batch)
         else:
             infos = self._masked(batch.infos, self._everybody.copy())
-            ended = batch.terminated | batch.truncated
+            ended = self._nobody
             if batch.final_indices.size:
+                ended = batch.terminated | batch.truncated
                 if self._autoreset is AutoresetMode.DISABLED:
                     firsts, rows = rows, rows.copy()
                     if self.privileged_observation_space is not None:
@@ -321,8 +323,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
         infos: dict[str, Any] = dict.fromkeys(self._info_names, mask)
-        count = len(self._columns)
-        infos.update(zip(self._columns, columns[:count], strict=True))
+        # A plain loop takes half the time of `update`.
+        for name, column in zip(self._columns, columns, strict=False):
+            infos[name] = column
         if self.privileged_observation_space is not None:
             infos["privileged"], infos["_privileged"] = privileged(columns, self._columns), mask
         return infos
@@ -368,7 +371,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise InvalidRequest(f"indices: {sources.min()} is below 0")
         self._turn.in_flight, self._turn.lasts, self._turn.firsts = False, None, None
         self._session.send_restore(read_snapshot(snapshot), sources)
-        self._seeded[:], self._turn.ended[:] = True, False
+        self._seeded[:], self._turn.ended = True, self._nobody
         return self._session.receive().observations
 
     @checked
