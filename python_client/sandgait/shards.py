@@ -77,9 +77,9 @@ class Shards:
             door.send_reset(None if seeds is None else seeds[part], chosen, options)
 
     def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> None:
-        """Asks for a step. `actions` is f32 [num_envs, action]; environments in `held` [num_envs] keep their state. Each
-        place checks the actions' bounds. With several places this function checks them first; else one place might
-        refuse its actions while the others make the step."""
+        """Asks for a step. `actions` is f32 [num_envs, action]; environments in `held` [num_envs] keep their state.
+        Each place checks the actions' bounds. With several places this function checks them first; else one place
+        might refuse its actions while the others make the step."""
         if len(self._doors) == 1:
             self._doors[0].send_step(actions, held)
             return

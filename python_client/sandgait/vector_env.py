@@ -231,9 +231,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         except BaseException as error:
             raise self._failed(error) from None
 
-    def _next_step(
-        self, actions: npt.ArrayLike
-    ) -> tuple[Shards, _Turn, npt.NDArray[np.float32], Flags | None]:
+    def _next_step(self, actions: npt.ArrayLike) -> tuple[Shards, _Turn, npt.NDArray[np.float32], Flags | None]:
         """Checks that a step may begin now. Returns its place, the turn, its actions, and the environments that it
         leaves."""
         turn = self._turn
