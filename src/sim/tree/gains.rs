@@ -11,8 +11,11 @@
 //!
 //! The term p is for a leg that stands straight and so has small levers. With at least four feet a robot can sway to
 //! the side on legs that stay parallel: if it moves by x, each hip turns by x/ℓ, and the weight does the work W
-//! x²/(2ℓ). It comes back if turning the hips takes more work than this, n kp x²/(2ℓ²), so kp must be above (W/n) ℓ; we
-//! take p = 1.5 ℓ. Other robots can tip over about their feet. If the centre of mass, at the height h, moves aside by
+//! x²/(2ℓ). It comes back if turning the hips takes more work than this, n kp x²/(2ℓ²), so kp must be above (W/n) ℓ. A leg
+//! also buckles at its joints: if they turn by q, the load does the work (W/n) qᵀHq/2, where H has the second derivatives
+//! of the foot's height by the joints' angles, so kp must be above (W/n) λ, λ the largest eigenvalue of H. A straight leg
+//! of two equal links has λ = 1.31 ℓ, one whose knees stand above the hips has more. We take p = 1.5 times the larger of
+//! ℓ and λ. Other robots can tip over about their feet. If the centre of mass, at the height h, moves aside by
 //! x, the weight turns each joint, at the height yᵢ, by W x/(n kp). These turns together move the centre of mass by Σ
 //! (h − yᵢ) W x/(n kp). The robot falls if this is more than x, so kp must be above (W/n) Σ (h − yᵢ). p is 3 times this
 //! sum, over the joints whose axes are horizontal, for motions forward or to the side, whichever is larger. A joint
@@ -25,7 +28,7 @@ use super::kinematics::{chain, lowest};
 use super::stance::Stance;
 use super::{JointKind, Tree, TreeJoint};
 use crate::actuator::Actuator;
-use nalgebra::{Isometry3, Vector2, Vector3};
+use nalgebra::{DMatrix, Isometry3, Vector2, Vector3};
 
 type V = Vector3<f64>;
 
@@ -39,7 +42,7 @@ const DAMPING: f64 = 0.3;
 /// A joint that follows another is stiffer by this factor, with the same damping ratio: our choice, because the load of
 /// a robot that stands then moves the joint by at most some 2 mrad.
 const FOLLOWING: f64 = 100.0;
-/// p/ℓ of robots with at least four feet: our choice, half as much again as the 1 below which they sway to the side.
+/// Ratio of kp to the kp at which a robot with at least four feet sways, or its legs buckle: our choice.
 const POSTURE: f64 = 1.5;
 /// Ratio of kp to the kp at which a robot with fewer than four feet tips over: our choice. Near 1 it comes back slowly
 /// from a push, and larger values make stiff legs.
@@ -123,9 +126,24 @@ fn of_leg(
     };
     let length = stance.leg_length.max(NEAREST);
     let load = tree.mass() * tree.gravity() / count as f64;
-    let posture = if count < 4 { UPRIGHT * tipping(tree, frames, leg, tip.z) } else { POSTURE * length };
+    let posture = match count {
+        ..4 => UPRIGHT * tipping(tree, frames, leg, tip.z),
+        _ => POSTURE * length.max(buckling(tree, frames, leg, tip)),
+    };
     let levers: f64 = leg.iter().filter_map(square).sum();
     Gains::of(load * (LEGS * levers / length).max(posture), length / LEGS, tree.gravity())
+}
+
+/// Largest eigenvalue of the second derivatives of the foot's height by the angles of the leg's hinges [m/rad²].
+fn buckling(tree: &Tree, frames: &[Isometry3<f64>], leg: &[usize], tip: V) -> f64 {
+    let hinge = |i: &usize| Some((tree.bodies[*i].hinge_axis(&frames[*i])?, tip - frames[*i].translation.vector));
+    let hinges: Vec<(V, V)> = leg.iter().filter_map(hinge).collect();
+    // A hinge that is nearer to the base turns what another one does to the foot.
+    let by = |i: usize, j: usize| {
+        let (near, (axis, arm)) = (hinges[i.min(j)].0, hinges[i.max(j)]);
+        near.cross(&axis.cross(&arm)).z
+    };
+    DMatrix::from_fn(hinges.len(), hinges.len(), by).symmetric_eigenvalues().iter().copied().fold(0.0, f64::max)
 }
 
 /// Σ (h − yᵢ) over the hinges of a leg, about the horizontal axis for which it is larger [m]. `ground`: height of the foot.
