@@ -96,21 +96,33 @@ fn feet_are_in_the_middle_of_their_reach() {
     }
 }
 
-/// Under its servos alone the robot sinks by about a twentieth of its legs' length, whatever `effort` its file has.
-#[test]
-fn found_gains_hold_the_robot() {
-    let import = read(&quadruped([-2.6, -0.6], false), "urdf").unwrap();
-    let blueprint = |robot: String| {
-        let options = json!({"robot": robot, "ground": "rigid", "domain_rand": null, "angle_noise": 0.0});
-        Blueprint::new(ID, options).unwrap()
-    };
-    let mut shard = Shard::new(&blueprint(pack(&import)), 1).unwrap();
+/// Share of its legs' length by which a robot sinks on hard ground under its servos alone.
+fn sag(import: &Import) -> f64 {
+    let options = json!({"robot": pack(import), "ground": "rigid", "domain_rand": null, "angle_noise": 0.0});
+    let mut shard = Shard::new(&Blueprint::new(ID, options).unwrap(), 1).unwrap();
     shard.reset(|_| true, Some(&[0]), |_| None);
     let actions = vec![0.0; shard.actions()];
     (0..250).for_each(|_| shard.step(&actions));
-    let sag = import.stance.height - shard.state(0).position[2];
-    let part = sag / import.stance.leg_length;
+    (import.stance.height - shard.state(0).position[2]) / import.stance.leg_length
+}
+
+/// Under its servos alone the robot sinks by about a twentieth of its legs' length, whatever `effort` its file has.
+#[test]
+fn found_gains_hold_the_robot() {
+    let part = sag(&read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
     assert!((0.02..0.1).contains(&part), "{part}");
+}
+
+/// A leg whose knee stands right above its hip, on a long shank, does not buckle.
+#[test]
+fn legs_with_raised_knees_do_not_buckle() {
+    let text = quadruped([-0.05, 0.05], false)
+        .replace("0 0 -0.2", "0 0 0.12")
+        .replace(r#"xyz="0 0 0.12"/><geometry>"#, r#"xyz="0 0 -0.3"/><geometry>"#);
+    let import = read(&text.replace("-3.1", "-0.05").replace("3.1", "0.05"), "urdf").unwrap();
+    assert_eq!(import.stance.legs.len(), 4);
+    let part = sag(&import);
+    assert!(part.abs() < 0.1, "{part}");
 }
 
 /// An arm, a drone and a pendulum are refused in one line that says what was looked for; a long chain is read quickly.

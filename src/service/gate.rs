@@ -55,7 +55,10 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     // A connection may have as many calls as are left for others (Choudhury & Hahne 1998, Dynamic queue length
     // thresholds, with α = 1), so no connection takes them all.
     if admitted && !open && link.as_ref().is_some_and(|link| link.admitted() > gate.calls.available_permits()) {
-        return exhausted(&gate.metrics, "this connection has as many calls as this server leaves for others; try again");
+        return exhausted(
+            &gate.metrics,
+            "this connection has as many calls as this server leaves for others; try again",
+        );
     }
     let place = if admitted && !open { gate.calls.clone().try_acquire_owned().map(Some) } else { Ok(None) };
     let reflects = admitted && call.uri().path().starts_with(REFLECTION);

@@ -50,7 +50,11 @@ pub fn batch<'py>(py: Python<'py>, batch: &mut Batch) -> PyResult<Bound<'py, PyT
             start += shard.envs();
         }
     };
-    if large { py.detach(put) } else { put() }
+    if large {
+        py.detach(put)
+    } else {
+        put()
+    }
     rows.answer(py, batch)
 }
 
