@@ -9,7 +9,8 @@ use super::plan::{Observer, TrainingPlan, TrainingState, UpdateReport};
 use super::remote::{Pause, RemoteEnvironments};
 use super::settings::Hyperparameters;
 use super::spec::{ExternalSpaces, TrainingSpec};
-use super::{checkpoint, describe, export, golden, teacher};
+use super::teacher::{self, Suited};
+use super::{checkpoint, describe, export, golden};
 use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
@@ -97,9 +98,9 @@ impl TrainingRequest {
     /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
         let mut options = self.options()?;
-        let found = self.suit(&mut options)?;
+        let suited = self.suit(&mut options)?;
         let plan = self.plan(&options)?;
-        let taught = plan.teacher.as_ref().map(|own| own.note(self.settings.gait_prior, found));
+        let taught = plan.teacher.as_ref().map(|own| own.note(self.settings.gait_prior, &suited));
         taught.iter().for_each(|note| progress.note(note));
         plan.notes.iter().for_each(|note| progress.note(note));
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
@@ -177,10 +178,10 @@ impl TrainingRequest {
         }
     }
 
-    /// Sets options that suit a plain gait, where the policy begins with one; says whether it set speeds.
-    fn suit(&self, options: &mut Value) -> Result<bool> {
+    /// Sets options that suit a plain gait, where the policy begins with one.
+    fn suit(&self, options: &mut Value) -> Result<Suited> {
         if self.external.is_some() || self.task != LeggedVelocity::ID || self.settings.gait_prior == 0 {
-            return Ok(false);
+            return Ok(Suited::default());
         }
         // A training that goes on keeps its options, also on another processor, whose simulation rounds differently.
         let kept = self.resume.then(|| std::fs::read(self.out.join("settings.json")).ok()).flatten();

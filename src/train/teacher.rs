@@ -3,11 +3,11 @@
 //! it; the critic learns its returns. Afterwards nothing holds the policy to it.
 
 use super::settings::Hyperparameters;
-use crate::env::Task;
 use crate::env::legged::LeggedVelocity;
 use crate::env::legged::columns::CLOCK;
 use crate::env::legged::prior::GaitPrior;
 use crate::env::registry::Blueprint;
+use crate::env::{Shard, Task};
 use crate::error::Result;
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
@@ -24,6 +24,15 @@ const AIR_TIME: &str = "feet_air_time";
 /// they may be narrow; and at slow commands, a small drift is a large part of the command. docs/learning_hexapods.md compares
 /// it with the default.
 const NARROW: f64 = 0.03;
+/// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
+/// term that costs more makes standing the best gait. Its weight is made for robots whose motors mostly carry their weight, and
+/// whose legs do not wade.
+const DEAR: f64 = 0.2;
+/// Duration of the walk that shows what the gait loses [s]: our choice, four strides or more.
+const WALK: f64 = 3.0;
+/// Terms of the reward for following commands, and the one of a fall, which costs nothing while the robot walks.
+const TRACKING: [&str; 2] = ["tracking_lin_vel", "tracking_ang_vel"];
+const FALL: &str = "termination";
 
 /// The plain gait of the robot of LeggedVelocity in `blueprint`; None: it has fewer than six legs, or an odd number.
 pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
@@ -35,9 +44,12 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 /// For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
 /// the greatest speeds of commands to what the gait reaches, narrow tracking terms, and the weight of the term for long steps
 /// to 0: its threshold is made for the strides of four legs, and on six it makes standing the best gait. Options that are given
-/// stay; values in `kept`, the options of a training that goes on, come before the gait's. Says whether it set speeds.
-pub fn suit(options: &mut Value, kept: &Value) -> Result<bool> {
-    let Some(prior) = plain_gait(&Blueprint::new(LeggedVelocity::ID, options.clone())?)? else { return Ok(false) };
+/// stay; values in `kept`, the options of a training that goes on, come before the gait's. Terms by which the gait would
+/// lose more than [`DEAR`] become weaker.
+pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
+    let Some(prior) = plain_gait(&Blueprint::new(LeggedVelocity::ID, options.clone())?)? else {
+        return Ok(Suited::default());
+    };
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
     if options[CLOCK_RATE].is_null() {
         options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
@@ -45,17 +57,66 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<bool> {
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
     }
-    if options["rewards"][AIR_TIME].is_null() {
-        let mut rewards = options["rewards"].as_object().cloned().unwrap_or_default();
-        rewards.insert(AIR_TIME.into(), json!(0.0));
-        options["rewards"] = Value::Object(rewards);
-    }
     let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
-    if !options[SPEEDS].is_null() || ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given) {
-        return Ok(false);
+    let speeds = options[SPEEDS].is_null() && !["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given);
+    if speeds {
+        options[SPEEDS] = old(SPEEDS).unwrap_or_else(|| json!(prior.speeds()));
     }
-    options[SPEEDS] = old(SPEEDS).unwrap_or_else(|| json!(prior.speeds()));
-    Ok(true)
+    let mut rewards = options["rewards"].as_object().cloned().unwrap_or_default();
+    rewards.retain(|_, weight| !weight.is_null());
+    let weaker = match kept["rewards"].as_object() {
+        Some(old) => {
+            old.iter().for_each(|(name, weight)| drop(rewards.entry(name).or_insert_with(|| weight.clone())));
+            Vec::new()
+        }
+        None => {
+            rewards.entry(AIR_TIME).or_insert(json!(0.0));
+            let own = |(name, _): &(&'static str, f64)| !rewards.contains_key(*name);
+            let weaker: Vec<_> = affordable(options, prior)?.into_iter().filter(own).collect();
+            weaker.iter().for_each(|(name, weight)| drop(rewards.insert((*name).into(), json!(weight))));
+            weaker
+        }
+    };
+    options["rewards"] = Value::Object(rewards);
+    Ok(Suited { speeds, weaker })
+}
+
+/// What [`suit`] has changed.
+#[derive(Default)]
+pub struct Suited {
+    /// The ranges of commands.
+    speeds: bool,
+    /// Terms of the reward that became weaker, with their weights.
+    weaker: Vec<(&'static str, f64)>,
+}
+
+/// Terms of the reward by which the plain gait loses more than [`DEAR`] when it walks forward, and the weights with which it
+/// loses as much.
+fn affordable(options: &Value, prior: GaitPrior) -> Result<Vec<(&'static str, f64)>> {
+    let mut own = options.clone();
+    ["domain_rand", "curriculum"].into_iter().for_each(|name| own[name] = Value::Null);
+    let blueprint = Blueprint::new(LeggedVelocity::ID, own)?;
+    let (spec, forward) = (blueprint.task.spec(), prior.speeds()[0]);
+    let Some(teacher) = Teacher::in_task(&blueprint, prior) else { return Ok(Vec::new()) };
+    let mut shard = Shard::new(&blueprint, 1)?;
+    shard.reset(|_| true, Some(&[0]), |_| None);
+    let (mut action, mut lost) = (vec![0.0; shard.actions()], vec![0.0; spec.reward.len()]);
+    let steps = (WALK * spec.control_rate) as usize;
+    for _ in 0..steps {
+        shard.set_command(0, [forward, 0.0, 0.0]);
+        teacher.act(&shard.rows.observations, &mut action);
+        shard.step(&action);
+        lost.iter_mut().zip(&shard.rows.infos).for_each(|(sum, term)| *sum -= f64::from(*term));
+    }
+    let earned: f64 = spec.reward.iter().filter(|term| TRACKING.contains(&term.name)).map(|term| term.weight).sum();
+    let most = DEAR * earned * steps as f64 / spec.control_rate;
+    let dear = spec.reward.iter().zip(lost).filter(|(term, lost)| term.name != FALL && *lost > most);
+    Ok(dear.map(|(term, lost)| (term.name, two_digits(term.weight * most / lost))).collect())
+}
+
+/// `x` with two digits, so that it reads well.
+fn two_digits(x: f64) -> f64 {
+    format!("{x:.1e}").parse().unwrap_or(x)
 }
 
 /// The gait that a policy imitates.
@@ -74,10 +135,15 @@ impl Teacher {
         if spec.id != LeggedVelocity::ID || settings.gait_prior == 0 {
             return Ok(None);
         }
-        let at = |name: &str| spec.observation.iter().position(|c| c.name == name);
-        let ([Some(sine), Some(cosine)], Some(x)) = (CLOCK.map(at), at(COMMANDS[0])) else { return Ok(None) };
+        Ok(plain_gait(blueprint)?.and_then(|prior| Self::in_task(blueprint, prior)))
+    }
+
+    /// None: the task's observation has no clock.
+    fn in_task(blueprint: &Blueprint, prior: GaitPrior) -> Option<Self> {
+        let at = |name: &str| blueprint.task.spec().observation.iter().position(|c| c.name == name);
+        let ([Some(sine), Some(cosine)], Some(x)) = (CLOCK.map(at), at(COMMANDS[0])) else { return None };
         let columns = COMMANDS.map(|name| at(name).unwrap_or(x));
-        Ok(plain_gait(blueprint)?.map(|prior| Self { prior, columns, clock: [sine, cosine] }))
+        Some(Self { prior, columns, clock: [sine, cosine] })
     }
 
     /// Fills `action` with the gait's action for a robot that has this observation.
@@ -88,9 +154,9 @@ impl Teacher {
     }
 
     /// What the training says of it.
-    pub fn note(&self, steps: u64, found: bool) -> String {
+    pub fn note(&self, steps: u64, suited: &Suited) -> String {
         let [x, y, yaw] = self.prior.speeds();
-        let commands = if found {
+        let commands = if suited.speeds {
             format!(
                 "commands are at most {x:.2} m/s forward, {y:.2} m/s to the side and {yaw:.2} rad/s, which it reaches \
                      on this ground (--option max_velocity=[x,y,yaw] sets others)"
@@ -98,9 +164,17 @@ impl Teacher {
         } else {
             "commands are those of the options".to_owned()
         };
+        let weaker: Vec<String> = suited.weaker.iter().map(|(name, weight)| format!("{name} {weight}")).collect();
+        let weaker = match &weaker[..] {
+            [] => String::new(),
+            all => format!(
+                "; reward terms are weaker by which the plain gait would lose more than a fifth of what following earns: {}",
+                all.join(", ")
+            ),
+        };
         format!(
             "the policy imitates a plain gait of {:.1} strides a second for {:.2} M steps and observes a clock of them (--set gait_prior=0: neither); \
-             unless they are given, reward term feet_air_time is 0 and tracking_sigma {NARROW}; {commands}",
+             unless they are given, reward term feet_air_time is 0 and tracking_sigma {NARROW}; {commands}{weaker}",
             self.prior.stride.frequency,
             steps as f64 / 1e6
         )
