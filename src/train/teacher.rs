@@ -66,7 +66,9 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     rewards.retain(|_, weight| !weight.is_null());
     let weaker = match kept["rewards"].as_object() {
         Some(old) => {
-            old.iter().for_each(|(name, weight)| drop(rewards.entry(name).or_insert_with(|| weight.clone())));
+            for (name, weight) in old {
+                rewards.entry(name).or_insert_with(|| weight.clone());
+            }
             Vec::new()
         }
         None => {
