@@ -27,7 +27,7 @@ const NARROW: f64 = 0.03;
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing the best gait. Its weight is made for robots whose motors mostly carry their weight, and
 /// whose legs do not wade.
-const DEAR: f64 = 0.2;
+const DEAR: f64 = 1.0 / 3.0;
 /// Duration of the walk that shows what the gait loses [s]: our choice, four strides or more.
 const WALK: f64 = 3.0;
 /// Terms of the reward for following commands, and the one of a fall, which costs nothing while the robot walks.
@@ -170,7 +170,7 @@ impl Teacher {
         let weaker = match &weaker[..] {
             [] => String::new(),
             all => format!(
-                "; reward terms are weaker by which the plain gait would lose more than a fifth of what following earns: {}",
+                "; reward terms are weaker by which the plain gait would lose more than a third of what following earns: {}",
                 all.join(", ")
             ),
         };
