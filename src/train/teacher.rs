@@ -158,10 +158,16 @@ impl Teacher {
     /// What the training says of it.
     pub fn note(&self, steps: u64, suited: &Suited) -> String {
         let [x, y, yaw] = self.prior.speeds();
+        let reached = match self.prior.slow {
+            Some(speed) => format!(
+                "though it walks at {speed:.2} m/s only on this ground: check torques, speeds and damping of the joints, and the feet"
+            ),
+            None => "which it reaches on this ground".to_owned(),
+        };
         let commands = if suited.speeds {
             format!(
-                "commands are at most {x:.2} m/s forward, {y:.2} m/s to the side and {yaw:.2} rad/s, which it reaches \
-                     on this ground (--option max_velocity=[x,y,yaw] sets others)"
+                "commands are at most {x:.2} m/s forward, {y:.2} m/s to the side and {yaw:.2} rad/s, {reached} \
+                 (--option max_velocity=[x,y,yaw] sets others)"
             )
         } else {
             "commands are those of the options".to_owned()

@@ -43,6 +43,8 @@ pub struct GaitPrior {
     /// Speeds forward, to the left [m/s] and yaw [rad/s] that the gait is asked for, and what it reaches then.
     pub asked: [f64; 3],
     pub reached: [f64; 3],
+    /// The speed forward that it really reaches, if that is less than `reached` [m/s].
+    pub slow: Option<f64>,
     /// The joint of each action, and the offset of its target at action 1 [rad].
     driven: Vec<(usize, f64)>,
     joints: usize,
@@ -64,12 +66,13 @@ impl GaitPrior {
         let stride = |frequency: f64, lift: f64| LegStride { frequency, lift: lift * tree.stance.leg_length };
         let strides: Vec<LegStride> = frequencies.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
         let (stride, reached, joints) = (strides[0], [0.0; 3], tree.joints());
-        let mut own = Self { gait, stride, asked, reached, driven, joints };
+        let mut own = Self { gait, stride, asked, reached, slow: None, driven, joints };
         let all = own.trials(model, tree, &strides)?;
         let share = |reached: &[f64; 3]| (0..3).map(|k| (reached[k] / asked[k]).clamp(0.0, 1.0)).sum::<f64>();
         let best = strides.iter().zip(all).max_by(|a, b| share(&a.1).total_cmp(&share(&b.1)));
         if let Some((stride, reached)) = best {
             (own.stride, own.reached) = (*stride, std::array::from_fn(|k| reached[k].max(LEAST * asked[k])));
+            own.slow = Some(reached[0]).filter(|speed| *speed < own.reached[0]);
         }
         Ok(Some(own))
     }
