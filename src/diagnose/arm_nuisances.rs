@@ -24,6 +24,12 @@ const SIZE_STEP: f64 = 2e-3;
 /// An estimate below this many prior standard deviations counts as 0 for the derivative: our choice; up to there the effects
 /// are nearly linear.
 const LINEAR: f64 = 1.5;
+/// The same for a rig that leans, which must fit as exactly as a slope does: our choice, so that it is always computed at its estimate.
+const LINEAR_LEAN: f64 = 0.05;
+
+/// Of what the attitude of a rig is that carries legs. A mount tilts plates and not their path; a rig turns legs, their path, and the
+/// sensor's axes. That is a slope of the surface in the other direction, so legs alone cannot tell the two apart.
+pub(super) const RIG: &str = "the rig of the legs";
 
 /// A state of the sand, the effects of measuring in it, and their present estimates.
 struct Present<'a> {
@@ -40,6 +46,7 @@ enum RigChange {
     Tilt,
     Plates,
     Legs,
+    Rig,
     Size,
 }
 
@@ -49,7 +56,7 @@ impl RigChange {
             Self::Delay => TIME_STEP,
             Self::Depth => DEPTH_STEP,
             Self::Tilt => TILT_STEP,
-            Self::Plates | Self::Legs => ANGLE_STEP,
+            Self::Plates | Self::Legs | Self::Rig => ANGLE_STEP,
             Self::Size => SIZE_STEP,
         }
     }
@@ -76,6 +83,7 @@ impl ForceLogModel<'_> {
                 let tracks = self.tracks.iter().map(turned).collect();
                 self.with_tracks(tracks).predict(&(*m, *c))
             }
+            RigChange::Rig => with(Mechanisms { slope: m.slope - by, ..*m }),
             RigChange::Size => {
                 let larger = |intruder: Intruder| match intruder {
                     Intruder::Leg { chord, width, xi_deg, thickness } => {
@@ -97,21 +105,20 @@ impl ForceLogModel<'_> {
     }
 
     fn measuring(&self, sand: &SandParameters) -> Measuring {
+        use RigChange::{Delay, Depth, Legs, Plates, Rig, Size, Tilt};
         let here = self.predict(sand);
         let by = |change: RigChange| slope(&self.changed(sand, change, change.step()), &here, change.step());
-        let all =
-            [RigChange::Delay, RigChange::Depth, RigChange::Tilt, RigChange::Plates, RigChange::Legs, RigChange::Size];
-        let [late, deep, tilted, plates, legs, larger] = all.map(by);
+        let [late, deep, tilted, plates, legs, leaning, larger] = [Delay, Depth, Tilt, Plates, Legs, Rig, Size].map(by);
         let grounds = [self.ground(&sand.1)];
         let steps = parallel::map(&self.tracks, |t| self.arm(t, &sand.0, &grounds).between());
         let near = Mutex::default();
-        Measuring { mechanisms: sand.0, here, late, deep, tilted, plates, legs, larger, steps, near }
+        Measuring { mechanisms: sand.0, here, late, deep, tilted, plates, legs, leaning, larger, steps, near }
     }
 
-    /// `stack` in the trials of one shape, 0 in all others.
-    fn only_shape(&self, stack: &[f64], shape: &str) -> Vec<f64> {
+    /// `stack` in the trials with some tracks, 0 in all others.
+    fn only_tracks(&self, stack: &[f64], some: impl Fn(&Track) -> bool) -> Vec<f64> {
         let units = &self.layout.units;
-        let own = |u: usize| self.tracks[self.track_of[u]].shape == shape;
+        let own = |u: usize| some(&self.tracks[self.track_of[u]]);
         self.layout.stack(|u, c, i| if own(u) { stack[units[u].block(c).start + i] } else { 0.0 })
     }
 
@@ -143,12 +150,16 @@ impl ForceLogModel<'_> {
                 all.push(self.far(&present, (common, None), change, &whole));
             }
             for shape in shapes.iter().filter(|_| shapes.len() > 1) {
-                let own = |stack: &[f64]| self.only_shape(stack, shape);
+                let own = |stack: &[f64]| self.only_tracks(stack, |t| t.shape == **shape);
                 all.push(self.far(&present, ("attitude", Some(shape)), change, &own));
             }
         }
+        if !self.shapes(false).is_empty() {
+            let legs = |stack: &[f64]| self.only_tracks(stack, |t| matches!(t.intruder, Intruder::Leg { .. }));
+            all.push(self.far(&present, ("attitude", Some(RIG)), RigChange::Rig, &legs));
+        }
         for shape in [self.shapes(true), self.shapes(false)].concat() {
-            let own = |stack: &[f64]| self.only_shape(stack, shape);
+            let own = |stack: &[f64]| self.only_tracks(stack, |t| t.shape == shape);
             all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own));
         }
         all.retain(|n| n.sd > 0.0);
@@ -178,7 +189,8 @@ impl ForceLogModel<'_> {
         part: &dyn Fn(&[f64]) -> Vec<f64>,
     ) -> Nuisance {
         let value = estimate(values, id, of);
-        let linear = LINEAR * self.experiment.nuisances.sd(id);
+        let least = if matches!(change, RigChange::Rig) { LINEAR_LEAN } else { LINEAR };
+        let linear = least * self.experiment.nuisances.sd(id);
         let curved = |nuisance: Nuisance| Nuisance { nearly_linear: linear, ..nuisance };
         if value.abs() <= linear {
             return m.near(id, of, || curved(self.at_prior(id, part(m.rate(change)))));
@@ -257,6 +269,7 @@ impl Measuring {
             RigChange::Tilt => &self.tilted,
             RigChange::Plates => &self.plates,
             RigChange::Legs => &self.legs,
+            RigChange::Rig => &self.leaning,
             RigChange::Size => &self.larger,
         }
     }

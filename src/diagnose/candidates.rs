@@ -13,6 +13,7 @@ use super::verdict::{self, Compared, Effect, Role};
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
+use crate::parallel;
 use crate::progress::Progress;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
@@ -66,6 +67,9 @@ pub struct Candidates {
     pub around: Surroundings,
     /// Plain model with coefficients and nuisances fitted within their priors.
     pub base: Fit,
+    /// Nuisances linearised at the base, and at each of `fits`.
+    pub base_nuisances: Vec<Nuisance>,
+    pub own_nuisances: Vec<Vec<Nuisance>>,
     /// The plain model: its coefficients are the stated ones, and nuisances are fitted within their priors.
     pub stated: Fit,
     /// The base, and the leading cause, each with one effect of measuring that may be far larger than stated.
@@ -107,8 +111,22 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     }
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
-    let (around, stated, measured, absent) = (around.clone(), base.clone(), Vec::new(), Vec::new());
-    let mut found = Candidates { screened, around, base, stated, measured, absent, fits, leading, behind, earlier };
+    let (around, stated) = (around.clone(), base.clone());
+    let (base_nuisances, own_nuisances, measured, absent) = Default::default();
+    let mut found = Candidates {
+        screened,
+        around,
+        base,
+        base_nuisances,
+        own_nuisances,
+        stated,
+        measured,
+        absent,
+        fits,
+        leading,
+        behind,
+        earlier,
+    };
     progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
@@ -119,12 +137,19 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     let renewed = around.about(study);
     found.leading = self::leading(&renewed, &found.base, &found.fits);
     progress.report(0.78, "effects of measuring")?;
-    found.stated = plain_fit(&renewed, &found.base);
-    found.measured = measured::measured(&renewed, &found.base);
-    found.absent = measured::absent(&renewed, &found.base, &found.measured);
+    found.adjust(&renewed);
+    let plain = renewed.with_nuisances(found.base_nuisances.clone());
+    found.stated = plain_fit(&plain, &found.base);
+    found.measured = measured::measured(&plain, &found.base);
+    let (twins, twin) = (found.twins(&renewed, 1), renewed.twins().map(|t| t.1));
+    let wide = |own: &MeasuredFit, k: usize| own.nuisances[k].sd > own.nuisances[k].stated_sd;
+    found.measured.retain(|own| twins.is_empty() || twin.is_none_or(|k| !wide(own, k)));
+    found.measured.extend(twins);
+    found.absent = measured::absent(&plain, &found.base, &found.measured);
     if let Some(leading) = found.leading.map(|k| &found.fits[k]).filter(|fit| fit.ids.len() == 1) {
         found.measured.extend(measured::measured(&renewed, leading));
     }
+    found.measured.extend(found.twins(&renewed, 2));
     Ok(found)
 }
 
@@ -177,7 +202,7 @@ impl Candidates {
 
     /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit
     /// changes by less than one σ (our choice: noise hides such a change). If no fit leads, the noise is learnt from
-    /// the plain model's residual, and the other fits stay.
+    /// the plain model's residual; the other fits of a rough model then stay, because each takes many simulations.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
             let (next, before) = {
@@ -185,14 +210,15 @@ impl Candidates {
                 (surroundings(&now, asked, self.best()), now.reading(self.best()))
             };
             let renewed = next.about(study);
-            if self.leading.is_none() {
+            if self.leading.is_none() && study.model.roughness().is_some() {
                 self.base = renewed.fit_from(&[&self.base]).swap_remove(0);
                 self.leading = leading(&renewed, &self.base, &self.fits);
             }
-            let leads = self.leading.is_some();
-            if leads {
+            let mut leads = self.leading.is_some();
+            if leads || study.model.roughness().is_none() {
                 self.refit(&renewed);
                 self.leading = leading(&renewed, &self.base, &self.fits);
+                leads |= self.leading.is_some();
             }
             let moved = next.whitener.apply(&slope(&renewed.reading(self.best()), &before, 1.0));
             self.around = next;
@@ -200,6 +226,37 @@ impl Candidates {
                 break;
             }
         }
+    }
+
+    /// Nuisances are linearised in the sand of the best fit. Other fits have another sand, and would predict worse for this reason alone:
+    /// a rig that leans is a slope, whose effect is not linear. So the base and single causes are fitted again with nuisances that are
+    /// linearised at their own fits. Most pairs have the leading cause; a rough model's derivatives would need too many simulations.
+    fn adjust(&mut self, study: &FitInputs) {
+        let best = self.leading.map_or(0, |k| k + 1);
+        let own = |&(k, fit): &(usize, &Fit)| {
+            if k == best || fit.ids.len() > 1 || study.model.roughness().is_some() {
+                return (fit.clone(), study.nuisances.clone());
+            }
+            let own = study.with_nuisances(bent(study, study.whitener, fit));
+            (own.fit_from(&[fit]).swap_remove(0), own.nuisances)
+        };
+        let all: Vec<(usize, &Fit)> = [&self.base].into_iter().chain(&self.fits).enumerate().collect();
+        let mut adjusted = parallel::map(&all, own).into_iter();
+        if let Some(base) = adjusted.next() {
+            (self.base, self.base_nuisances) = base;
+        }
+        (self.fits, self.own_nuisances) = adjusted.unzip();
+    }
+
+    /// The fits of `count` causes, each with the effect of measuring that is one thing with one of its mechanisms ([`measured::twin`]).
+    fn twins(&self, study: &FitInputs, count: usize) -> Vec<MeasuredFit> {
+        let own = self.fits.iter().zip(&self.own_nuisances).filter(|(fit, _)| fit.ids.len() == count && !fit.is_idle());
+        own.filter_map(|(fit, nuisances)| measured::twin(&study.with_nuisances(nuisances.clone()), fit)).collect()
+    }
+
+    /// A study with the nuisances of the base.
+    pub fn about_base<'a>(&'a self, study: &FitInputs<'a>) -> FitInputs<'a> {
+        study.under(&self.around.whitener, self.base_nuisances.clone())
     }
 
     /// Repeats all fits, each from its end state.

@@ -2,6 +2,7 @@
 
 use super::acceleration::Accelerations;
 use super::arm::{Arm, IntruderSegments};
+use super::arm_nuisances::RIG;
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, planned, possible};
@@ -212,6 +213,12 @@ impl ForwardModel for ForceLogModel<'_> {
 
     fn nuisances(&self, sand: &SandParameters, values: &[NuisanceState]) -> Vec<Nuisance> {
         if self.stopped() { Vec::new() } else { self.effects_of_measuring(sand, values) }
+    }
+
+    /// On legs alone a rig that leans is a slope.
+    fn twins(&self) -> Option<(usize, &'static str, &'static str)> {
+        let legs = self.tracks.iter().all(|t| matches!(t.intruder, Intruder::Leg { .. }));
+        Some((Mechanisms::index("slope").ok().filter(|_| legs)?, "attitude", RIG))
     }
 
     /// For states that differ only in the coefficients, the response to the coefficients is computed once.

@@ -1,13 +1,16 @@
 //! Effects of measuring as answers: models in which one of them may be far larger than stated.
 
 use super::evidence::EvidenceTable;
-use super::fit::{COEFFICIENTS, Fit};
+use super::fit::{COEFFICIENTS, Fit, Stack};
 use super::gauss_newton::MOST_DEVIATION;
 use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
 use super::settling::{bound, settled_nuisances};
 use super::study::FitInputs;
+use crate::number::dot;
 use crate::parallel;
+use crate::sand::mechanism::Mechanisms;
+use std::sync::Arc;
 
 /// Factor on the prior standard deviation of an effect that may be the answer: our choice, so wide that the prior has no say
 /// (a log that is late by 120 ms, a plate that is turned by 40°).
@@ -25,6 +28,9 @@ const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
 /// Number of effects, the most promising ones, whose fits begin at far values, too, beside those of all channels or shapes: our choice,
 /// because each fit takes time.
 const FAR_FITTED: usize = 3;
+
+/// How often nuisances are linearised in the sand of such a fit: our choice; the sand hardly changes after the second time.
+const SANDS: usize = 3;
 
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
@@ -55,7 +61,8 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     promising.retain(|p| p.1 > WORTH || late(p.0));
     promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
-    // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
+    // Others, and coefficients, may stand in for a large effect that is not linear, so its fit begins anew, with the stated sand and
+    // without any of them, and at larger values.
     let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
@@ -71,11 +78,12 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
         let curved = study.nuisances[index].nearly_linear.is_finite();
         for &start in FAR.iter().filter(|_| curved && far(index)) {
             let mut still = base.clone();
-            still.deviations[COEFFICIENTS..].fill(0.0);
+            still.deviations.fill(0.0);
+            let sand = still.clone();
             still.deviations[COEFFICIENTS + index] = start;
-            let nuisances = study.nuisances_of(base, &still);
+            let nuisances = study.nuisances_of(&sand, &still);
             still.deviations[COEFFICIENTS + index] /= WIDE;
-            let anew = widened(study, base, nuisances, (index, still), best.fit.objective);
+            let anew = widened(study, &sand, nuisances, (index, still), best.fit.objective);
             if anew.fit.objective < best.fit.objective {
                 best = anew;
             }
@@ -100,21 +108,57 @@ pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<Measur
     parallel::map(wide, of)
 }
 
-/// A fit with a wide prior for the nuisance `index`, begun at `from`; abandoned if it is unlikely to reach the objective `best`.
+/// A fit with a wide prior for the nuisance `index`, begun at `from`, with nuisances at first in the sand of `sand`, and then in its own;
+/// abandoned if it is unlikely to reach the objective `best`.
 fn widened(
     study: &FitInputs,
-    base: &Fit,
+    sand: &Fit,
     mut nuisances: Vec<Nuisance>,
     (index, from): (usize, Fit),
     best: f64,
 ) -> MeasuredFit {
     nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
-    let now = study.with_nuisances(nuisances);
-    let at = now.fit_from(&[&from]).swap_remove(0);
-    let (nuisances, at) = settled_nuisances(now, base, at, best);
-    let last = study.with_nuisances(nuisances);
-    let fit = last.fit_from(&[&at]).swap_remove(0);
-    MeasuredFit { fit, nuisances: last.nuisances }
+    let mut now = study.with_nuisances(nuisances);
+    let mut fit = now.fit_from(&[&from]).swap_remove(0);
+    let mut sand = sand.clone();
+    for _ in 0..SANDS {
+        let (nuisances, at) = settled_nuisances(now, &sand, fit, best);
+        now = study.with_nuisances(nuisances);
+        fit = now.fit_from(&[&at]).swap_remove(0);
+        sand.clone_from(&fit);
+    }
+    MeasuredFit { fit, nuisances: now.nuisances }
+}
+
+/// The same model as `fit`, with the effect of measuring in place of the mechanism that it is one thing with. A fit of its own would come
+/// near it only: columns of other parameters are computed without the effect. None if `fit` does not have the mechanism.
+pub fn twin(study: &FitInputs, fit: &Fit) -> Option<MeasuredFit> {
+    let (id, index) = study.twins()?;
+    let (place, own) = (fit.ids.iter().position(|i| *i == id)?, &study.nuisances[index]);
+    if own.sd != own.stated_sd || fit.slopes.is_empty() {
+        return None;
+    }
+    let (sd, before) = (WIDE * own.stated_sd, fit.deviations[COEFFICIENTS + index]);
+    let mechanisms = fit.mechanisms.with(id, Mechanisms::PLAIN.get(id));
+    let (mut deviations, mut slopes, mut ids) = (fit.deviations.clone(), fit.slopes.clone(), fit.ids.clone());
+    let value = (own.sd * before - fit.mechanisms.get(id)) / sd;
+    let column: Stack = Arc::new(slopes.remove(place).iter().map(|s| -sd * s).collect());
+    ids.remove(place);
+    slopes[ids.len() + COEFFICIENTS + index] = column.clone();
+    deviations[COEFFICIENTS + index] = value;
+    let prediction = study.model.predict(&(mechanisms, study.coefficients(&fit.deviations)));
+    // What the mechanism and the effect change together, less the linear part.
+    let bent = own.bend.as_ref();
+    let rest = |k: usize| {
+        let earlier = before * own.column[k] + bent.map_or(0.0, |bend| bend[k]);
+        fit.prediction[k] + earlier - prediction[k] - value * column[k]
+    };
+    let bend = Arc::new((0..prediction.len()).map(rest).collect());
+    let mut nuisances = study.nuisances.clone();
+    nuisances[index] = Nuisance { sd, column, bend: Some(bend), ..own.clone() };
+    let objective = dot(&fit.white, &fit.white) + dot(&deviations, &deviations);
+    let fit = Fit { ids, mechanisms, deviations, prediction, objective, slopes, white: fit.white.clone() };
+    Some(MeasuredFit { fit, nuisances })
 }
 
 /// The one effect of measuring that, within its stated prior, alone gives what all of them give to the plain model. None if they give

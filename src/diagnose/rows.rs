@@ -59,7 +59,8 @@ impl Fits {
             Place::Plain => &self.plain.nuisances,
             Place::Measured(k) => &self.candidates.measured[k].nuisances,
             Place::Absent(k) => &self.candidates.absent[k].nuisances,
-            _ => &self.candidates.around.nuisances,
+            Place::Base | Place::Stated => &self.candidates.base_nuisances,
+            Place::Candidate(k) => &self.candidates.own_nuisances[k],
         }
     }
 
