@@ -43,7 +43,7 @@ class _Turn:
     #: rows with which the server has begun the next episodes of those in `ended`.
     lasts: Observations | None = None
     firsts: Observations | None = None
-    #: With option `privileged`: the exact values of `firsts`.
+    #: With option `privileged`: the exact sensor values for `firsts`.
     exact: Observations | None = None
 
 

@@ -57,7 +57,7 @@ class Output:
     #: checking, ready, rising, standing, walking, stopping, fallen or stopped.
     state: str
     joints: tuple[str, ...]
-    #: Targets [rad]; None: none. Then the motors only damp: stiffness 0.
+    #: Target angles [rad]; None: no targets, so the motors only damp (stiffness 0).
     targets: Floats | None
     stiffness: Floats
     damping: Floats

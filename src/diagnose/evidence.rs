@@ -146,7 +146,7 @@ impl<'a> Projection<'a> {
         made.into_iter().flatten().collect()
     }
 
-    /// The numbers of every condition of a whitened stack.
+    /// The numbers of each condition: the sum over its whitened repetitions / √n.
     fn means(&self, mut white: Vec<f64>) -> Vec<DVector<f64>> {
         let units = &self.study.observations.units;
         let mean = |group: &Vec<usize>| {

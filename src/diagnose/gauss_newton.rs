@@ -168,7 +168,7 @@ impl FitInputs<'_> {
             active = (0..fits.len()).collect();
             self.set_coefficient_slopes(&mut fits, &active);
         }
-        // Converged fits have hardly moved since their slopes were computed.
+        // Converged fits keep their last slopes, because they have hardly moved since.
         self.set_value_slopes(&mut fits, &active);
         fits
     }

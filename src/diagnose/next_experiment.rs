@@ -59,7 +59,8 @@ fn propose(menu: &Menu, noise: &KnownNoise, pair: [&Explanation; 2]) -> Vec<Prop
     let sand = &pair[0].sand;
     let observations = Observations { values: first.clone(), ..menu.observations.clone() };
     let mut uncertainty = menu.model.uncertainty(sand, &first);
-    // One unit represents all repetitions. More repetitions do not reduce the error that they share, so its size is multiplied by √n.
+    // The separations below are multiplied by √n for n repetitions. Repetitions do not reduce the errors that they share,
+    // so these are multiplied by √n, too.
     let errors = uncertainty.common.iter_mut().flatten().chain(&mut uncertainty.own);
     errors.for_each(|e| *e *= (REPETITIONS as f64).sqrt());
     // The noise has only the directions that the repetitions of the data support.

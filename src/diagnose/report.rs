@@ -302,7 +302,7 @@ pub struct Diagnosis {
     pub name: String,
 }
 
-/// Stacks in the order of the observations.
+/// Measured and predicted stacks in the order of `observations`.
 pub struct Curves {
     pub observations: super::observations::Observations,
     /// The shape of each unit.

@@ -177,7 +177,7 @@ struct Judging<'a> {
     profiled: Option<&'a [[f64; 2]]>,
 }
 
-/// What the tests of a table lead to.
+/// Results of the tests of an evidence table.
 struct Judged {
     ruling: Ruling,
     standing: Assessment,

@@ -91,7 +91,7 @@ impl SourceFile {
         };
         let declared = declared(bytes);
         let named = match &declared {
-            // The file's bytes show that it is not UTF-16, whatever programs on Windows have written.
+            // The file's bytes are not UTF-16, even if its declaration says so, as some programs on Windows write.
             Some(label) => Encoding::for_label(label.as_bytes()).filter(|e| *e != UTF_16LE && *e != UTF_16BE),
             None => None,
         };

@@ -33,7 +33,7 @@ use tonic::Status;
 /// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
-/// Time between two attempts to get more for a share: our choice, short against most requests.
+/// Time between two attempts to enlarge a share: our choice, short compared with most requests.
 const AGAIN: Duration = Duration::from_millis(20);
 
 /// Time limit for the arrival of a call's first message. A large message has this time in addition to the time of its

@@ -77,9 +77,9 @@ pub struct TrainingOutcome {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum PolicyScore {
-    /// Of tasks in which hexapods walk.
+    /// For tasks in which hexapods walk.
     Walking(EvaluationRow),
-    /// Of LeggedVelocity.
+    /// For LeggedVelocity.
     Commands(CommandTracking),
 }
 

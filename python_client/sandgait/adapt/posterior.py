@@ -158,7 +158,7 @@ class Posterior:
         if limit and "torque_limit" not in text:
             text = _with_quantity(text, "torque_limit", limit, (limit, limit))
         if not limit and any(c.id == "motor_torque_limit" for m in self.members for c in m.causes):
-            text = re.sub(r"(?m)^torque_limit = .*\n?", "", text)  # that of another member
+            text = re.sub(r"(?m)^torque_limit = .*\n?", "", text)  # the limit of another member
         found = self.motors
         # A torque constant of the diagnosis is that of the same motors.
         if found is not None and found.differ and "torque_constant" not in text:

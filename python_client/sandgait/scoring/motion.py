@@ -82,7 +82,7 @@ class Motion:
             speed, turning = (float(np.linalg.norm(part[first])) for part in (self.velocity, self.angular_velocity))
             times, indices = np.array([start + (way / speed if speed else 2.0 * np.pi / max(turning, 1e-9))]), [first]
         before = self.position[first] + [0.0, 0.0, above]
-        # A step reaches the samples that are at most half a step later, so the last step reaches the last sample.
+        # Each sample belongs to the nearest step, so the last step has the last sample.
         reached = np.maximum(1, np.ceil(times / dt - 0.5 - 1e-9))
         for step in range(1, int(reached[-1]) + 1):
             time = step * dt - start

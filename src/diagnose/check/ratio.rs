@@ -19,7 +19,7 @@ pub fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
 }
 
-/// The same of the differences from the two means.
+/// [`proportion`] of the differences of `a` and `b` from their means.
 pub fn proportion_of_changes(pairs: &[(f64, f64)]) -> Option<f64> {
     let n = pairs.len() as f64;
     let (a, b) = pairs.iter().fold((0.0, 0.0), |(a, b), pair| (a + pair.0 / n, b + pair.1 / n));

@@ -167,7 +167,7 @@ fn still(run: &Run, signal: &[f64], name: &str, other: &str, way: impl Fn([usize
     Some(Finding::new(Warn, name, what, remedy).at([run.line(a), run.line(b)]))
 }
 
-/// The largest value of a run, repeated in three neighbours at three places: our choice; noise hardly does this.
+/// Does a channel keep its largest or smallest value for three rows at three places? Our choice; noise hardly does this.
 fn saturated(run: &Run, signal: &[f64], name: &str) -> Option<Finding> {
     let [low, high] = ends(signal.iter().copied());
     [low, high].into_iter().filter(|end| end.abs() >= 0.9 * low.abs().max(high.abs())).find_map(|end| {

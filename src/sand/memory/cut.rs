@@ -83,8 +83,8 @@ struct CellRow<S> {
 }
 
 impl Grid {
-    /// Takes sand out of the cells of a piece, `each` out of each [steps]; `denser`: compaction for each step of loose sand
-    /// [1/255]. `origin`: the cell from which the piece's place counts.
+    /// Takes sand out of the cells of a piece. `each`: height taken from a cell [steps]; `denser`: compaction for each
+    /// step of loose sand [1/255]; `origin`: the cell from which the piece's place counts.
     #[inline(always)]
     pub(super) fn cut<S: Shorts>(
         &mut self,

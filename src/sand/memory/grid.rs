@@ -271,7 +271,7 @@ impl Grid {
         changed: &mut [bool; W],
     ) {
         let (lines, _) = self.heights.as_chunks_mut::<W>();
-        // The square's first and last rows share this line: its places before the column are of the last row.
+        // The square's first and last rows share `first_line`: places before `column` belong to the last row.
         let (first_line, column) = (first / W, first % W);
         let (mut before, mut behind, all) = ([-1; W], [-1; W], [-1; W]);
         before[column..].fill(0);
