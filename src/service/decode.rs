@@ -60,7 +60,7 @@ pub enum RequestWeight {
     Light,
     /// Some milliseconds: a blocking thread checks it.
     Short,
-    /// Longer: checked on a blocking thread, in turns.
+    /// Longer: a blocking thread checks it, in turns.
     Long,
 }
 

@@ -54,8 +54,8 @@ pub struct Intake {
     largest: usize,
     /// Memory of the answers of single calls. Large requests, which may hold their shares for long, cannot take it.
     answers: Arc<Semaphore>,
-    /// Whoever makes the answer of a single call. Long answers are made one after the other, so that other work of the runtime has its turn
-    /// in between.
+    /// Locked while the answer of a single call is made. Long answers are made one after the other, so that other work
+    /// of the runtime has its turn in between.
     maker: tokio::sync::Mutex<()>,
     /// See [`Limits::stall`].
     stall: Duration,
@@ -201,7 +201,7 @@ impl Messages {
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
-        // Only calls in tests have none, because they do not come through [`pass`].
+        // Only calls in tests lack this extension, because they do not come through [`pass`].
         request
             .extensions()
             .get::<Self>()

@@ -177,7 +177,7 @@ impl TrainingRequest {
         }
     }
 
-    /// Sets options that suit a plain gait, where the policy begins with one; says whether it set speeds.
+    /// Sets options that suit a plain gait, where the policy begins with one; returns whether it set speeds.
     fn suit(&self, options: &mut Value) -> Result<bool> {
         if self.external.is_some() || self.task != LeggedVelocity::ID || self.settings.gait_prior == 0 {
             return Ok(false);
@@ -383,7 +383,7 @@ impl TrainingFiles<'_> {
         Ok(path)
     }
 
-    /// Writes the policy and a checkpoint of the last valid state. Returns the error with a note on them.
+    /// Writes the policy and a checkpoint of the last valid state. Returns the error with a note on these files.
     fn abandon(mut self, error: Error) -> Error {
         let steps = self.newest.steps;
         let kept = |policy: &Path| {

@@ -66,7 +66,7 @@ class Motion:
         return np.moveaxis(np.array(rows), -1, 0)
 
     def runs(self, dt: float, above: float = 0.1, way: float = 0.1) -> Iterator[Iterator[MotionStep]]:
-        """The motion in time steps of `dt` [s], for simulators that need what was before.
+        """The motion in time steps of `dt` [s], for simulators in which forces depend on earlier motion.
 
         Each run begins in fresh sand, with the body `above` [m] its first pose, and comes straight down at 0.1 m/s. A
         course is one run through all its samples. Steady motions are one run for each sample: after it came down, the

@@ -2,8 +2,8 @@
 
 use crate::table::Quantity;
 
-/// A ratio counts as that of a unit if it differs from it by less than this share: our choice, less than the distance
-/// between most units of a quantity; of two units within it the nearer one counts.
+/// A ratio counts as a unit's ratio if the two differ by less than this share: our choice, less than the distance
+/// between most units of a quantity; of two such units the nearer one counts.
 pub const NEAR: f64 = 0.2;
 /// Least correlation for which a ratio is evaluated: our choice, because a ratio of unrelated signals has no meaning.
 pub const CLEAR: f64 = 0.7;

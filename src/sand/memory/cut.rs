@@ -8,7 +8,7 @@ use sandgait_number::{SHORTS, Shorts};
 #[derive(Clone, Copy, Default)]
 pub(super) struct Taking {
     pub amount: i32,
-    /// The loose part of it.
+    /// The loose part of this sand.
     pub loose: i32,
     /// Is there sand above the piece?
     pub met: bool,

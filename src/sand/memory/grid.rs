@@ -24,7 +24,7 @@ pub struct Grid {
     pub(super) packed: Vec<u8>,
     /// Which lines of `side` heights have changed since the last sweep of sliding.
     pub(super) awake: Vec<bool>,
-    /// No cell has been higher.
+    /// Upper bound of all heights so far.
     pub(super) top: i16,
 }
 
@@ -118,7 +118,7 @@ impl Grid {
         }
     }
 
-    /// No cell has been higher than this [m].
+    /// Upper bound of all heights so far [m].
     #[inline(always)]
     pub fn highest(&self) -> f64 {
         f64::from(self.top) * self.frame.quantum()

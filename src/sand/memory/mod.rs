@@ -126,7 +126,7 @@ impl Moved {
         }
     }
 
-    /// Is this sand of these settings, for so many bodies?
+    /// Does this sand have these settings, and so many bodies?
     pub fn fits(&self, s: &MemorySettings, bodies: usize) -> bool {
         self.found.len() == bodies && self.grid.frame.is_of(s.cell, s.bits)
     }

@@ -48,7 +48,7 @@ impl HardGround {
         })
     }
 
-    /// Depth of its top below the surface at a place [m], as the engine has it.
+    /// Depth of the top below the surface at a place [m], as in the engine.
     pub fn top(&self, place: [f64; 2]) -> f64 {
         let [x, y] = self.outside(place);
         self.depth + Self::EDGE * (x + y)
