@@ -31,7 +31,7 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 
 @dataclass(slots=True)
 class _Turn:
-    """How far the present step is."""
+    """The state of the present step."""
 
     #: The environments whose episode has ended and whose next episode has not begun. With NEXT_STEP their next step
     #: begins it, with DISABLED only a reset does. With SAME_STEP there are no such environments.
@@ -43,7 +43,7 @@ class _Turn:
     #: rows with which the server has begun the next episodes of those in `ended`.
     lasts: Observations | None = None
     firsts: Observations | None = None
-    #: With option `privileged`: the exact values of `firsts`.
+    #: With option `privileged`: the exact sensor values for `firsts`.
     exact: Observations | None = None
 
 
@@ -232,8 +232,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise self._failed(error) from None
 
     def _next_step(self, actions: npt.ArrayLike) -> tuple[Shards, _Turn, npt.NDArray[np.float32], Flags | None]:
-        """Checks that a step may begin now. Returns its place, the turn, its actions, and the environments that it
-        leaves."""
+        """Checks that a step may begin now. Returns the session, the turn, the actions, and the environments that do
+        not step."""
         turn = self._turn
         if turn.in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")

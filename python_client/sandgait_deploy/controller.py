@@ -57,7 +57,7 @@ class Output:
     #: checking, ready, rising, standing, walking, stopping, fallen or stopped.
     state: str
     joints: tuple[str, ...]
-    #: Targets [rad]; None: none. Then the motors only damp: stiffness 0.
+    #: Target angles [rad]; None: no targets, so the motors only damp (stiffness 0).
     targets: Floats | None
     stiffness: Floats
     damping: Floats
@@ -80,9 +80,9 @@ class Controller:
     targets are in the order of the policy. `quaternion`: the order in which the reading "quaternion" comes, "wxyz" or
     "xyzw" (rotation from the base's frame to the level one); without it the reading "gravity" is taken. `log`: a CSV
     file for what was seen and done, which `sandgait diagnose` reads, or the same as MCAP if its name ends in .mcap.
-    `runtime`: "numpy", to the simulator's bits, or "onnxruntime". `heading_checked`: the robot does face backwards.
-    `max_change`: largest change of a target in a step [rad]; by default what training allowed, twice the scale of its
-    action.
+    `runtime`: "numpy", bit-identical to the simulator, or "onnxruntime". `heading_checked`: the robot does face
+    backwards. `max_change`: largest change of a target in a step [rad]; by default what training allowed, twice the
+    scale of its action.
     """
 
     def __init__(

@@ -26,7 +26,7 @@ impl Helpers {
             taken = wanted.min(most.saturating_sub(now));
             Some(now + taken)
         };
-        // The closure never refuses.
+        // `add` never returns None.
         let _ = HELPERS.fetch_update(Ordering::Relaxed, Ordering::Relaxed, add);
         Self(taken)
     }

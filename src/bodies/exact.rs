@@ -130,8 +130,8 @@ impl<R: Real> PlateScene<'_, R> {
         if !R::any(zero.lt(leads)) {
             return None;
         }
-        // If the leading edge crosses the plate, n·v of the leading part ranges from 0 to `along + uneven`, so its mean
-        // is half of this.
+        // If only a part of the plate leads, n·v ranges from 0 to `along + uneven` in this part, so its mean is half of
+        // `along + uneven`.
         let toward = along.max((along + uneven) * half).max(zero);
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;

@@ -88,7 +88,7 @@ struct Projection<'a> {
 }
 
 impl<'a> Projection<'a> {
-    /// The scatter of the repetitions is that of the conditions `known`.
+    /// Only the conditions `known` give the scatter of the repetitions.
     fn new(study: &'a FitInputs, whitener: &'a Whitener, known: &[usize]) -> Self {
         let groups = study.observations.repetitions();
         let cosines = study.observations.units.iter().map(|u| (u.samples, cosines(u.samples))).collect();
@@ -146,7 +146,7 @@ impl<'a> Projection<'a> {
         made.into_iter().flatten().collect()
     }
 
-    /// The numbers of every condition of a whitened stack.
+    /// The numbers of each condition: the sum over its whitened repetitions / √n.
     fn means(&self, mut white: Vec<f64>) -> Vec<DVector<f64>> {
         let units = &self.study.observations.units;
         let mean = |group: &Vec<usize>| {
@@ -210,7 +210,8 @@ pub struct EvidenceNumbers<'a> {
 }
 
 impl<'a> EvidenceNumbers<'a> {
-    /// The numbers of `models` in all conditions; the first model is the plain one. The scatter of repetitions is that of the conditions `known`.
+    /// The numbers of `models` in all conditions; the first model is the plain one. Only the conditions `known` give
+    /// the scatter of repetitions.
     pub fn new(study: &'a FitInputs, whitener: &'a Whitener, models: &'a [Contender], known: &[usize]) -> Self {
         let projection = Projection::new(study, whitener, known);
         // Fits share columns; two columns are the same if they have the same address.

@@ -126,7 +126,7 @@ impl Growing {
     }
 }
 
-/// Adds a row to a trial as it is in the file. A cell that the model does not need may be no number.
+/// Adds a row to a trial as it is in the file. A cell without a number becomes NaN, since the model may not need it.
 fn log_row(logged: &mut LoggedTrial, row: &Row, t: f64) {
     let number = |column: usize| row.within(column, MOST).ok().flatten().unwrap_or(f64::NAN);
     logged.lines.push(row.line);

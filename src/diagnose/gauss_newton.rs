@@ -168,7 +168,7 @@ impl FitInputs<'_> {
             active = (0..fits.len()).collect();
             self.set_coefficient_slopes(&mut fits, &active);
         }
-        // Converged fits have hardly moved since their slopes were computed.
+        // Converged fits keep their last slopes, because they have hardly moved since.
         self.set_value_slopes(&mut fits, &active);
         fits
     }
@@ -218,7 +218,7 @@ impl FitInputs<'_> {
 
     /// Sets the slopes of the active fits by the coefficients; [`Self::set_value_slopes`] sets the slopes by the values.
     pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
-        // Those of a linear model without mechanisms are the plain model's, which are known.
+        // Slopes of a linear model without mechanisms are those of the plain model, which are known.
         let plain = |fit: &Fit| fit.mechanisms == Mechanisms::default() && self.model.is_linear(&fit.mechanisms);
         let is_known = |k: &usize| !self.marginal_slopes[0].is_empty() && plain(&fits[*k]);
         let (known, active): (Vec<usize>, Vec<usize>) = active.iter().partition(|k| is_known(k));

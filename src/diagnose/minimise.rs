@@ -2,9 +2,9 @@
 
 /// Minimises `f` by BFGS with numerical gradients, from `x`, in at most `rounds` rounds. A step must reduce `f` by 1e-4
 /// of what its slope promises (Nocedal & Wright 2006, 3.1). The other numbers are our choice for variables that are
-/// logarithms, and for `f` = −2 log likelihood: gradients are taken over 1e-4, the first step is a hundredth of the
-/// gradient, no step is longer than one e-fold, a step is shortened by 0.4 and given up at 1e-3 of its length, and the
-/// search ends when a round gains less than 0.01, far below every threshold in use.
+/// logarithms, and for `f` = −2 log likelihood: gradients are differences over 1e-4, the first step is a hundredth
+/// of the gradient, no step is longer than one e-fold, a step that fails is multiplied by 0.4 and given up below 1e-3
+/// of its length, and the search ends when a round gains less than 0.01, far below every threshold in use.
 pub fn minimise(f: impl Fn(&[f64]) -> f64, mut x: Vec<f64>, rounds: usize) -> Vec<f64> {
     let n = x.len();
     let gradient = |x: &[f64], value: f64| -> Vec<f64> {

@@ -59,7 +59,8 @@ fn propose(menu: &Menu, noise: &KnownNoise, pair: [&Explanation; 2]) -> Vec<Prop
     let sand = &pair[0].sand;
     let observations = Observations { values: first.clone(), ..menu.observations.clone() };
     let mut uncertainty = menu.model.uncertainty(sand, &first);
-    // One unit represents all repetitions. More repetitions do not reduce the error that they share, so its size is multiplied by √n.
+    // The separations below are multiplied by √n for n repetitions. Repetitions do not reduce the errors that they
+    // share, so these errors are multiplied by √n, too.
     let errors = uncertainty.common.iter_mut().flatten().chain(&mut uncertainty.own);
     errors.for_each(|e| *e *= (REPETITIONS as f64).sqrt());
     // The noise has only the directions that the repetitions of the data support.
@@ -204,7 +205,7 @@ pub fn next(
         let why = format!("{} could not be tested ({why}); log what it needs in these conditions", entry.id);
         return Some(deciding(study.model, noise, [&own, &with], why));
     }
-    // The best other model that does not contain what is written.
+    // The best other model that does not contain the written one.
     let model = selection.ruling.model;
     let contains = |k: usize| rows[model].effects.iter().all(|e| rows[k].effects.contains(e));
     let other = |k: &usize| {

@@ -196,9 +196,9 @@ pub struct Proposal {
 pub struct NextExperiment {
     /// One sentence.
     pub why: String,
-    /// Between what the experiment decides.
+    /// The explanations that the experiment separates.
     pub decides: Vec<String>,
-    /// None of them is in the data.
+    /// New conditions: none is in the data.
     pub conditions: Vec<Proposal>,
     /// Greatest expected separation [σ]; null if it is not known.
     pub expected: Option<f64>,
@@ -209,7 +209,7 @@ pub struct NextExperiment {
 pub struct Report {
     pub schema: &'static str,
     pub verdict: Verdict,
-    /// What a look at the data has found before any fit.
+    /// What the checks of the data found before any fit.
     pub check: Check,
     /// What `sand.toml` contains.
     pub written: Written,
@@ -234,7 +234,7 @@ pub struct Report {
     pub lack_of_fit: LackOfFit,
     pub gain: Gain,
     pub nuisances: Vec<NuisanceValue>,
-    /// None without a noise floor.
+    /// None if the noise floor is not known.
     pub remainder: Option<Remainder>,
     pub terms: Vec<TermFound>,
     pub upper_limits: Vec<UpperLimit>,
@@ -302,7 +302,7 @@ pub struct Diagnosis {
     pub name: String,
 }
 
-/// Stacks in the order of the observations.
+/// Measured and predicted stacks in the order of `observations`.
 pub struct Curves {
     pub observations: super::observations::Observations,
     /// The shape of each unit.

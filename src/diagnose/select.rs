@@ -49,7 +49,8 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// The causes of each explanation that the data cannot distinguish, or the formula of a law. What they cannot see may be in place of `scale`.
+    /// The causes of each explanation that the data cannot distinguish, or the formula of a law. If `scale` is among
+    /// the causes, mechanisms that the data cannot see may be in its place.
     pub fn explanations(&self) -> Vec<Vec<String>> {
         let mut all: Vec<Vec<String>> = self.ruling.set.iter().map(|&k| self.named(k)).collect();
         all.dedup();
@@ -160,7 +161,7 @@ fn plain(study: &FitInputs, stated: &FitInputs, candidates: &Candidates) -> Meas
     }
     let mut from = candidates.stated.clone();
     from.deviations.iter_mut().for_each(|d| *d = 0.0);
-    // What is established is what the plain model does not know.
+    // The plain model does not contain the established effects.
     let known = |n: Nuisance| match study.nuisances.iter().find(|own| own.is(&n)) {
         Some(own) if own.sd > own.stated_sd => n.with_prior(0.0),
         _ => n,
@@ -180,7 +181,7 @@ struct Judging<'a> {
     profiled: Option<&'a [[f64; 2]]>,
 }
 
-/// What the tests of a table lead to.
+/// Results of the tests of an evidence table.
 struct Judged {
     ruling: Ruling,
     standing: Assessment,
@@ -237,7 +238,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         tested.uneven = true;
         ruling = verdict(entries, tested);
     }
-    // If nothing is named, what passed all tests is said, too.
+    // If nothing is named, models that passed all tests are listed, too.
     let passed = [tested.leading, tested.law].into_iter().flatten().filter(|t| t.1 && t.0 != ruling.model);
     let passed = passed.filter(|_| ruling.set.is_empty()).map(|(row, _)| (row, vec![passed_over(entries, row)]));
     withheld.extend(passed);
@@ -249,7 +250,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         None => (nested(row), with.assess(fits, table, entries, row)),
     };
     let (mut predicted, mut standing) = measure(ruling.model);
-    // What is chosen anew without the predicted conditions must lower the error, too.
+    // A model chosen anew without the predicted conditions must lower the error, too.
     if ruling.set.is_empty() && ruling.model > 0 && predicted.errors[2] >= predicted.errors[0] {
         let base = base(entries);
         ruling.verdict = Verdict::NoneOfThese;

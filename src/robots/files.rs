@@ -37,7 +37,7 @@ impl SourceFile {
         Ok(text.trim_start_matches('\u{feff}'))
     }
 
-    /// Why the file is not `what` it is called; None: it may be.
+    /// Why the file cannot be `what`; None: it may be.
     pub fn stand_in(&self, what: &str) -> Option<String> {
         let bytes = &self.bytes;
         let start = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]).trim_start().to_lowercase();
@@ -91,7 +91,7 @@ impl SourceFile {
         };
         let declared = declared(bytes);
         let named = match &declared {
-            // The file's bytes show that it is not UTF-16, whatever programs on Windows have written.
+            // The file's bytes are not UTF-16, even if its declaration says so, as some programs on Windows write.
             Some(label) => Encoding::for_label(label.as_bytes()).filter(|e| *e != UTF_16LE && *e != UTF_16BE),
             None => None,
         };
@@ -122,7 +122,7 @@ fn declared(bytes: &[u8]) -> Option<String> {
 pub struct Files {
     /// Folder of the description.
     folder: PathBuf,
-    /// Its package, in which `package://` and the author's absolute paths are searched.
+    /// The description's package, in which `package://` and the author's absolute paths are searched.
     root: PathBuf,
     /// The outermost folder that paths relative to the description may lead to.
     reach: PathBuf,

@@ -91,7 +91,7 @@ impl Import {
     }
 }
 
-/// Names of the bodies on small balls.
+/// Names of the bodies that stand on small balls.
 pub fn on_balls(tree: &Tree) -> impl Iterator<Item = &str> {
     tree.bodies.iter().skip(1).filter(|body| sole(body).is_some()).map(|body| body.name.as_str())
 }

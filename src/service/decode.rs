@@ -56,11 +56,11 @@ const LIGHT: usize = 16 << 10;
 /// How long a request keeps the thread that checks it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RequestWeight {
-    /// Some microseconds: checked on the thread that received it.
+    /// Some microseconds: the thread that received the request checks it.
     Light,
-    /// Some milliseconds: checked on a blocking thread.
+    /// Some milliseconds: a blocking thread checks it.
     Short,
-    /// Longer: checked on a blocking thread, in turns.
+    /// Longer: a blocking thread checks it, in turns.
     Long,
 }
 

@@ -33,7 +33,7 @@ use tonic::Status;
 /// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
-/// Time between two attempts to get more for a share: our choice, short against most requests.
+/// Time between two attempts to enlarge a share: our choice, short compared with most requests.
 const AGAIN: Duration = Duration::from_millis(20);
 
 /// Time limit for the arrival of a call's first message. A large message has this time in addition to the time of its
@@ -54,8 +54,8 @@ pub struct Intake {
     largest: usize,
     /// Memory of the answers of single calls. Large requests, which may hold their shares for long, cannot take it.
     answers: Arc<Semaphore>,
-    /// Whoever makes the answer of a single call. Long answers are made one after the other, so that other work of the runtime has its turn
-    /// in between.
+    /// Locked while the answer of a single call is made. Long answers are made one after the other, so that other work
+    /// of the runtime has its turn in between.
     maker: tokio::sync::Mutex<()>,
     /// See [`Limits::stall`].
     stall: Duration,
@@ -201,7 +201,7 @@ impl Messages {
     }
 
     pub fn of<T>(request: &tonic::Request<T>) -> Self {
-        // Only calls in tests have none, because they do not come through [`pass`].
+        // Only calls in tests lack this extension, because they do not come through [`pass`].
         request
             .extensions()
             .get::<Self>()

@@ -60,9 +60,9 @@ pub struct Actuator {
     pub torque_time: Option<f64>,
     /// k; None: 1.
     pub torque_constant: Option<f64>,
-    /// F [N·m]; None: the joint's own friction.
+    /// Friction F [N·m]; None: the joint's own friction.
     pub friction: Option<f64>,
-    /// B [N·m·s/rad]; None: the joint's own damping.
+    /// Damping B [N·m·s/rad]; None: the joint's own damping.
     pub damping: Option<f64>,
     /// η; None: 1.
     pub efficiency: Option<f64>,

@@ -78,9 +78,9 @@ pub struct TrainingOutcome {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum PolicyScore {
-    /// Of tasks in which hexapods walk.
+    /// For tasks in which hexapods walk.
     Walking(EvaluationRow),
-    /// Of LeggedVelocity.
+    /// For LeggedVelocity.
     Commands(CommandTracking),
 }
 
@@ -384,7 +384,7 @@ impl TrainingFiles<'_> {
         Ok(path)
     }
 
-    /// Writes the policy and a checkpoint of the last valid state. Returns the error with a note on them.
+    /// Writes the policy and a checkpoint of the last valid state. Returns the error with a note on these files.
     fn abandon(mut self, error: Error) -> Error {
         let steps = self.newest.steps;
         let kept = |policy: &Path| {

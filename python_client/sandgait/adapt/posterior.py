@@ -42,7 +42,7 @@ class World:
     sand: str = ""
     #: Text of a hardware.toml; empty: the training's motors and sensors.
     hardware: str = ""
-    #: At the base's centre [kg].
+    #: Payload at the base's centre [kg].
     payload: float = 0.0
 
     def options(self, learnt: Mapping[str, Any]) -> dict[str, Any]:
@@ -158,9 +158,9 @@ class Posterior:
         if limit and "torque_limit" not in text:
             text = _with_quantity(text, "torque_limit", limit, (limit, limit))
         if not limit and any(c.id == "motor_torque_limit" for m in self.members for c in m.causes):
-            text = re.sub(r"(?m)^torque_limit = .*\n?", "", text)  # that of another member
+            text = re.sub(r"(?m)^torque_limit = .*\n?", "", text)  # the limit of another member
         found = self.motors
-        # A torque constant of the diagnosis is that of the same motors.
+        # A torque constant of the diagnosis describes the same effect of the motors.
         if found is not None and found.differ and "torque_constant" not in text:
             half = (found.interval[1] - found.interval[0]) / 2.0
             value = found.strength if random is None else float(random.normal(found.strength, half / _HALF))
@@ -195,9 +195,9 @@ def posterior(folder: Path, motors: Motors | None = None, delay: tuple[float, fl
     if members or verdict in ("described", "recalibrated"):
         sand = (folder / "sand.toml").read_text(encoding="utf-8")
     written = [c["id"] for c in report["causes"] if c["id"] in MECHANISMS] if members else []
-    if written:  # each member puts its own in their place
+    if written:  # each member adds its own causes
         sand = with_mechanisms(sand, dict.fromkeys(written, 0.0))
-    # Values of a model that does not explain the log are none of the robot.
+    # A model that does not explain the log tells nothing about the robot's hardware.
     hardware = 'source = "sandgait adapt"\n'
     if verdict not in ("none_of_these", "insufficient_data"):
         hardware = (folder / "hardware.toml").read_text(encoding="utf-8")
@@ -215,7 +215,7 @@ def _members(report: Mapping[str, Any]) -> tuple[Member, ...]:
 
 
 def _evidence(report: Mapping[str, Any], ids: set[str]) -> Mapping[str, Any]:
-    """The row of evidence of an explanation; one that the table lacks counts as the best."""
+    """The row of evidence of an explanation; an explanation without a row counts as the best."""
     rows = (row for row in report["evidence"] if set(row["ids"]) == ids and not row["terms"])
     return next(rows, {"difference": 0.0, "standard_error": 0.0})
 
@@ -267,7 +267,7 @@ def next_log(report: Mapping[str, Any]) -> str:
 
 
 def _with_quantity(text: str, name: str, value: float, interval: tuple[float, float]) -> str:
-    """A hardware.toml with a quantity of the motors in place of its own."""
+    """The hardware.toml `text` with this value of the quantity `name` of the motors."""
     line = f"{name} = {{ value = {value!r}, interval = [{interval[0]!r}, {interval[1]!r}] }}\n"
     own = re.compile(rf"(?m)^{name} = .*\n?")
     if own.search(text):

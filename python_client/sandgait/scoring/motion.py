@@ -66,7 +66,7 @@ class Motion:
         return np.moveaxis(np.array(rows), -1, 0)
 
     def runs(self, dt: float, above: float = 0.1, way: float = 0.1) -> Iterator[Iterator[MotionStep]]:
-        """The motion in time steps of `dt` [s], for simulators that need what was before.
+        """The motion in time steps of `dt` [s], for simulators in which forces depend on earlier motion.
 
         Each run begins in fresh sand, with the body `above` [m] its first pose, and comes straight down at 0.1 m/s. A
         course is one run through all its samples. Steady motions are one run for each sample: after it came down, the
@@ -82,7 +82,7 @@ class Motion:
             speed, turning = (float(np.linalg.norm(part[first])) for part in (self.velocity, self.angular_velocity))
             times, indices = np.array([start + (way / speed if speed else 2.0 * np.pi / max(turning, 1e-9))]), [first]
         before = self.position[first] + [0.0, 0.0, above]
-        # A step reaches the samples that are at most half a step later, so the last step reaches the last sample.
+        # Each sample belongs to the nearest step, so the last step has the last sample.
         reached = np.maximum(1, np.ceil(times / dt - 0.5 - 1e-9))
         for step in range(1, int(reached[-1]) + 1):
             time = step * dt - start

@@ -2,8 +2,8 @@
 
 use crate::table::Quantity;
 
-/// A ratio counts as that of a unit if it differs from it by less than this share: our choice, less than the distance
-/// between most units of a quantity; of two units within it the nearer one counts.
+/// A ratio counts as a unit's ratio if the two differ by less than this share: our choice, less than the distance
+/// between most units of a quantity; of two such units the nearer one counts.
 pub const NEAR: f64 = 0.2;
 /// Least correlation for which a ratio is evaluated: our choice, because a ratio of unrelated signals has no meaning.
 pub const CLEAR: f64 = 0.7;
@@ -19,7 +19,7 @@ pub fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
 }
 
-/// The same of the differences from the two means.
+/// [`proportion`] of the differences of `a` and `b` from their means.
 pub fn proportion_of_changes(pairs: &[(f64, f64)]) -> Option<f64> {
     let n = pairs.len() as f64;
     let (a, b) = pairs.iter().fold((0.0, 0.0), |(a, b), pair| (a + pair.0 / n, b + pair.1 / n));

@@ -15,7 +15,7 @@ const RARE: f64 = 20.0;
 const FASTEST: f64 = 100.0;
 /// Least rms of the gyro for which the attitude is compared with it [rad/s]: our choice, above noise and offsets.
 const TURNING: f64 = 0.05;
-/// Samples for which a channel must stand still: our choice; rounded readings repeat a few times.
+/// Samples for which a frozen channel stands still: our choice; rounded readings repeat a few times.
 const STILL: usize = 25;
 
 /// All findings; `joints` has the names of the joints.
@@ -77,7 +77,8 @@ fn jump(run: &Run, j: usize, name: &str) -> Option<Finding> {
     Some(Finding::new(severity, &format!("q:{name}"), what, remedy).at([run.line(i), run.line(i + 1)]))
 }
 
-/// The attitude's numbers in four places, with continuous signs; `order` says where w, x, y and z are, and `inverse` turns back.
+/// The attitude's numbers in four places, with continuous signs; `order` says where w, x, y and z are, and `inverse`
+/// inverts the rotation.
 fn attitude(run: &Run, order: [usize; 4], inverse: bool) -> Vec<[f64; 4]> {
     let mut before = [0.0; 4];
     let of = |i: usize| {
@@ -167,7 +168,8 @@ fn still(run: &Run, signal: &[f64], name: &str, other: &str, way: impl Fn([usize
     Some(Finding::new(Warn, name, what, remedy).at([run.line(a), run.line(b)]))
 }
 
-/// The largest value of a run, repeated in three neighbours at three places: our choice; noise hardly does this.
+/// Looks for a channel that keeps its largest or smallest value for three rows at three places: our choice; noise
+/// hardly does this.
 fn saturated(run: &Run, signal: &[f64], name: &str) -> Option<Finding> {
     let [low, high] = ends(signal.iter().copied());
     [low, high].into_iter().filter(|end| end.abs() >= 0.9 * low.abs().max(high.abs())).find_map(|end| {
@@ -180,7 +182,8 @@ fn saturated(run: &Run, signal: &[f64], name: &str) -> Option<Finding> {
     })
 }
 
-/// A delay of a speed against the change of its angle of more than a sample and a half, if it removes half of their difference.
+/// Looks for a speed that is late or early against the change of its angle by more than a sample and a half, if a shift
+/// by this time halves their difference.
 fn late(run: &Run, j: usize, name: &str) -> Option<Finding> {
     let (q, qd) = (&run.q[j], run.qd.get(j)?);
     let step = run.step();

@@ -17,7 +17,7 @@ pub struct Signal {
     pub late: usize,
     /// The rest of the delay, as a share of a control step: the sensor samples this much before the step ends.
     early: f64,
-    /// For `column` and `cosine`: the place in the row that the policy gets, and the column. Empty if the policy does not get them.
+    /// For `column` and `cosine`: (place in the policy's row, column). Empty if the policy does not get them.
     pub places: Vec<(usize, usize)>,
     /// Probability that a sample is lost.
     pub dropout: f64,

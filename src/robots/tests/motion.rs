@@ -81,8 +81,8 @@ fn model(import: &Import, dt: f64) -> Model {
     Model::of_tree(TreeModel::new(import.tree.clone(), plates).unwrap(), &scene).unwrap()
 }
 
-/// A root's frame on the ground, as a link without mass or as the trunk's own frame, changes neither the motion nor what the
-/// check finds; without mass not by a bit.
+/// A root's frame on the ground, as a link without mass or as the trunk's own frame, changes neither the motion nor
+/// what the check finds. With a link without mass the results are equal to the last bit.
 #[test]
 fn the_roots_frame_does_not_matter() {
     let plain = read("r.urdf", &urdf(0.0, true, 0.0, ""));

@@ -8,7 +8,7 @@ use sandgait_number::{SHORTS, Shorts};
 #[derive(Clone, Copy, Default)]
 pub(super) struct Taking {
     pub amount: i32,
-    /// The loose part of it.
+    /// The loose part of this sand.
     pub loose: i32,
     /// Is there sand above the piece?
     pub met: bool,
@@ -83,8 +83,8 @@ struct CellRow<S> {
 }
 
 impl Grid {
-    /// Takes sand out of the cells of a piece, `each` out of each [steps]; `denser`: compaction for each step of loose sand
-    /// [1/255]. `origin`: the cell from which the piece's place counts.
+    /// Takes sand out of the cells of a piece. `each`: height taken from a cell [steps]; `denser`: compaction for each
+    /// step of loose sand [1/255]; `origin`: the cell from which the piece's place counts.
     #[inline(always)]
     pub(super) fn cut<S: Shorts>(
         &mut self,

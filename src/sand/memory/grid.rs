@@ -24,7 +24,7 @@ pub struct Grid {
     pub(super) packed: Vec<u8>,
     /// Which lines of `side` heights have changed since the last sweep of sliding.
     pub(super) awake: Vec<bool>,
-    /// No cell has been higher.
+    /// Upper bound of all heights so far.
     pub(super) top: i16,
 }
 
@@ -118,7 +118,7 @@ impl Grid {
         }
     }
 
-    /// No cell has been higher than this [m].
+    /// Upper bound of all heights so far [m].
     #[inline(always)]
     pub fn highest(&self) -> f64 {
         f64::from(self.top) * self.frame.quantum()
@@ -271,7 +271,7 @@ impl Grid {
         changed: &mut [bool; W],
     ) {
         let (lines, _) = self.heights.as_chunks_mut::<W>();
-        // The square's first and last rows share this line: its places before the column are of the last row.
+        // The square's first and last rows share `first_line`: places before `column` belong to the last row.
         let (first_line, column) = (first / W, first % W);
         let (mut before, mut behind, all) = ([-1; W], [-1; W], [-1; W]);
         before[column..].fill(0);

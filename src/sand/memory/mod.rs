@@ -41,8 +41,8 @@ use sandgait_number::{Kernel, PlainShorts, Shorts};
 use settings::{AHEAD, DENSER, LOST, WAY};
 use std::marker::PhantomData;
 
-/// How many numbers of the sequence of chances a body uses in a turn, one for each piece: our choice, about as many as a leg or a belly
-/// has pieces.
+/// Numbers of the quasirandom sequence that a body uses in a turn, one for each piece: our choice, about as many as a
+/// leg or a belly has pieces.
 const PIECES: u32 = 61;
 
 /// The surface around a robot or an intruder, and what each of its bodies has found.
@@ -126,7 +126,7 @@ impl Moved {
         }
     }
 
-    /// Is this sand of these settings, for so many bodies?
+    /// Does this sand have these settings, and so many bodies?
     pub fn fits(&self, s: &MemorySettings, bodies: usize) -> bool {
         self.found.len() == bodies && self.grid.frame.is_of(s.cell, s.bits)
     }

@@ -14,7 +14,7 @@ pub struct HardGround {
     pub size: [f64; 2],
     /// Distance after which the rectangle repeats, along x and y [m]; 0: never.
     pub every: [f64; 2],
-    /// Depth of its top below the surface [m]; negative if it is above the sand.
+    /// Depth of the top below the surface [m]; negative if the top is above the sand.
     pub depth: f64,
     /// Factor on the friction of the shape that touches it.
     pub grip: f64,
@@ -48,7 +48,7 @@ impl HardGround {
         })
     }
 
-    /// Depth of its top below the surface at a place [m], as the engine has it.
+    /// Depth of the top below the surface at a place [m], as in the engine.
     pub fn top(&self, place: [f64; 2]) -> f64 {
         let [x, y] = self.outside(place);
         self.depth + Self::EDGE * (x + y)

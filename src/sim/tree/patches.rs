@@ -180,7 +180,7 @@ impl Facet {
         let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
         let rise = ((square(sides[0]) + square(sides[1])) / 6.0).sqrt();
         let turn = ((square(p.bend[0] * sides[0]) + square(p.bend[1] * sides[1])) / 2.0).sqrt();
-        // A flat plate leads when it moves outward, with the gate of all solid bodies.
+        // A flat plate pushes when it moves outward; its force rises over the gate of solid bodies.
         let gate = Regularization::SOLID.leading_edge_gate;
         let wide = EDGE * turn > gate / 2.0;
         let (begun, growth) = if wide { (0.5, 0.5 / (EDGE * turn)) } else { (0.0, 1.0 / gate) };
