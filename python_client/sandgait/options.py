@@ -10,6 +10,7 @@ from typing import Any
 
 from . import _native
 from .errors import InvalidRequest, UnknownOption, shortened
+from .files import read_within
 from .user_warnings import warn
 
 #: Longest part of a path in a message: our choice, a line of a terminal. A whole file's text may be given by mistake.
@@ -54,7 +55,7 @@ def _text(name: str, file: Any) -> Any:
     if isinstance(file, str) and (not file or "\n" in file):
         return file
     try:
-        return Path(file).read_text(encoding="utf-8")
+        return read_within(file).decode("utf-8")
     except (OSError, TypeError, ValueError) as error:
         # an OSError repeats the path
         reason = error.strerror if isinstance(error, OSError) else error

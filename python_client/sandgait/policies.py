@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InvalidRequest
+from .files import read_within
 from .options import task_id
 from .snapshots import FilePath
 
@@ -17,7 +18,7 @@ def read_policy(onnx: bytes | FilePath) -> bytes:
         return onnx
     try:
         path = Path(onnx)
-        return (path / "policy.onnx" if path.is_dir() else path).read_bytes()
+        return read_within(path / "policy.onnx" if path.is_dir() else path)
     except (OSError, TypeError) as error:
         raise InvalidRequest(f"policy: {onnx!r} cannot be read as a file: {error}") from error
 

@@ -36,6 +36,9 @@ _FOREIGN = "this is not one of sandgait's recordings"
 #: value at most. Our choice, explained in src/view/recording.rs.
 _MOST_SECTIONS, _MOST_HEADERS, _MOST_VALUES = 100_000, 128 << 20, 8_000_000
 
+#: Largest number of blocks: our choice, explained there, too.
+_MOST_BLOCKS = 2_000_000
+
 #: Number of bytes that are unpacked at a time: our choice.
 _PIECE = 1 << 20
 
@@ -158,8 +161,11 @@ def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[byte
     """Header and rows of each section. Unpacks at most `left` bytes, even if a block states a greater length."""
     header: bytes | None = None
     rows = bytearray()
-    sections, headers, values = 0, _MOST_HEADERS, _MOST_VALUES
+    sections, blocks, headers, values = 0, 0, _MOST_HEADERS, _MOST_VALUES
     while start := stream.read(_BLOCK.size):
+        blocks += 1
+        if blocks > _MOST_BLOCKS:
+            raise InvalidRequest(f"{path}: it has more than {_MOST_BLOCKS} blocks")
         if len(start) < _BLOCK.size:
             raise _CutOff
         kind, length = _BLOCK.unpack(start)

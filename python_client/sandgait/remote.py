@@ -5,10 +5,10 @@ from __future__ import annotations
 import ipaddress
 import os
 from os import PathLike
-from pathlib import Path
 
 from .arguments import checked
 from .errors import InvalidRequest
+from .files import read_within
 
 FilePath = str | PathLike[str]
 
@@ -73,7 +73,7 @@ class Remote(str):
 
 def _read(path: FilePath, name: str) -> bytes:
     try:
-        return Path(path).read_bytes()
+        return read_within(path)
     except OSError as error:
         raise InvalidRequest(f"{name}: {os.fspath(path)!r} cannot be read: {error.strerror}") from error
 

@@ -48,7 +48,10 @@ def read_snapshot(snapshot: bytes | FilePath) -> list[bytes]:
     """The inverse of `write_snapshot`: reads its bytes or its file. The server checks each snapshot's content."""
     if not isinstance(snapshot, bytes):
         try:
-            snapshot = Path(snapshot).read_bytes()
+            with Path(snapshot).open("rb") as file:
+                start = file.read(len(_MAGIC))
+                # The rest of another file, as a device without an end, is not read.
+                snapshot = start + file.read() if start == _MAGIC else start
         except OSError as error:
             raise InvalidRequest(f"snapshot: {snapshot!r} cannot be read: {error.strerror}") from error
     if not snapshot.startswith(_MAGIC):

@@ -2,7 +2,7 @@
 
 use sandgait::study::layout::narrow_table;
 use sandgait::view::{self, Section, page};
-use sandgait::{Error, Result};
+use sandgait::{Error, Result, files};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ pub struct ReplayArgs {
 
 impl ReplayArgs {
     pub fn run(self) -> Result<String> {
-        let bytes = std::fs::read(&self.file).map_err(|e| Error::file(&self.file, e))?;
+        let bytes = files::read(&self.file, view::MOST_UNPACKED)?;
         let sections = view::read(&bytes).map_err(|e| match e {
             Error::Invalid { reason, .. } => Error::file(&self.file, reason),
             other => other,

@@ -37,4 +37,4 @@ pub use camera::CameraOptions;
 pub use header::{About, header};
 pub use picture::draw;
 pub use png::{animation, png};
-pub use recording::{RecordedState, RecordingHeader, RecordingWriter, Section, read, row};
+pub use recording::{MOST_UNPACKED, RecordedState, RecordingHeader, RecordingWriter, Section, read, row};

@@ -31,7 +31,7 @@ const ROWS: &[u8; 4] = b"ROWS";
 const MOST_WIDE: u64 = 1 << 20;
 
 /// Largest unpacked size of a file [bytes]: our choice, some hours of one robot.
-const MOST_UNPACKED: u64 = 1 << 30;
+pub const MOST_UNPACKED: u64 = 1 << 30;
 
 /// Largest numbers of sections, of bytes of all headers, and of commas and opening brackets in them, each of which is a
 /// value at most. Our choice: a day of episodes of 10 s has a tenth of these sections, and four hours of a hexapod have
@@ -40,6 +40,10 @@ const MOST_UNPACKED: u64 = 1 << 30;
 const MOST_SECTIONS: usize = 100_000;
 const MOST_HEADERS: u64 = 128 << 20;
 const MOST_VALUES: usize = 8_000_000;
+
+/// Largest number of blocks: our choice, eleven hours of a program that writes each state at 50 Hz by itself. A small file can
+/// have many empty blocks, which take time. Python has the same number.
+const MOST_BLOCKS: u64 = 2_000_000;
 
 /// One moment of a robot, and the task's info of the step that led to it.
 #[derive(Clone, Copy, Debug)]
@@ -238,7 +242,7 @@ fn broken(why: impl std::fmt::Display) -> Error {
 /// If the file is not a recording, has another version, is damaged or cut off, or is larger than the bounds above.
 pub fn read(file: &[u8]) -> Result<Vec<Section>> {
     let stream = BufReader::new(MultiGzDecoder::new(file));
-    let mut unpacked = Unpacked { stream, left: MOST_UNPACKED, headers: MOST_HEADERS, values: MOST_VALUES };
+    let mut unpacked = Unpacked { stream, left: MOST_UNPACKED, headers: MOST_HEADERS, values: MOST_VALUES, blocks: 0 };
     let mut sections: Vec<Section> = Vec::new();
     while let Some((kind, length)) = unpacked.block()? {
         match (&kind, sections.last_mut()) {
@@ -264,6 +268,8 @@ struct Unpacked<'a> {
     left: u64,
     headers: u64,
     values: usize,
+    /// Number of blocks so far.
+    blocks: u64,
 }
 
 impl Unpacked<'_> {
@@ -271,6 +277,10 @@ impl Unpacked<'_> {
     fn block(&mut self) -> Result<Option<([u8; 4], u64)>> {
         if self.stream.fill_buf().map_err(|e| unreadable(&e))?.is_empty() {
             return Ok(None);
+        }
+        self.blocks += 1;
+        if self.blocks > MOST_BLOCKS {
+            return Err(broken(format!("it has more than {MOST_BLOCKS} blocks")));
         }
         let (mut kind, mut length) = ([0; 4], [0; 4]);
         self.exactly(&mut kind)?;
