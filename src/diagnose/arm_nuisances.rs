@@ -115,10 +115,10 @@ impl ForceLogModel<'_> {
         Measuring { mechanisms: sand.0, here, late, deep, tilted, plates, legs, leaning, larger, steps, near }
     }
 
-    /// `stack` in the trials with some tracks, 0 in all others.
-    fn only_tracks(&self, stack: &[f64], some: impl Fn(&Track) -> bool) -> Vec<f64> {
+    /// `stack` in the trials of one shape, 0 in all others.
+    fn only_shape(&self, stack: &[f64], shape: &str) -> Vec<f64> {
         let units = &self.layout.units;
-        let own = |u: usize| some(&self.tracks[self.track_of[u]]);
+        let own = |u: usize| self.tracks[self.track_of[u]].shape == shape;
         self.layout.stack(|u, c, i| if own(u) { stack[units[u].block(c).start + i] } else { 0.0 })
     }
 
@@ -150,16 +150,16 @@ impl ForceLogModel<'_> {
                 all.push(self.far(&present, (common, None), change, &whole));
             }
             for shape in shapes.iter().filter(|_| shapes.len() > 1) {
-                let own = |stack: &[f64]| self.only_tracks(stack, |t| t.shape == **shape);
+                let own = |stack: &[f64]| self.only_shape(stack, shape);
                 all.push(self.far(&present, ("attitude", Some(shape)), change, &own));
             }
         }
-        if !self.shapes(false).is_empty() {
-            let legs = |stack: &[f64]| self.only_tracks(stack, |t| matches!(t.intruder, Intruder::Leg { .. }));
-            all.push(self.far(&present, ("attitude", Some(RIG)), RigChange::Rig, &legs));
+        // Plates in the same log are mounted on their own, and tell a slope from a rig that leans.
+        if self.shapes(true).is_empty() {
+            all.push(self.far(&present, ("attitude", Some(RIG)), RigChange::Rig, &whole));
         }
         for shape in [self.shapes(true), self.shapes(false)].concat() {
-            let own = |stack: &[f64]| self.only_tracks(stack, |t| t.shape == shape);
+            let own = |stack: &[f64]| self.only_shape(stack, shape);
             all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own));
         }
         all.retain(|n| n.sd > 0.0);

@@ -202,7 +202,7 @@ impl Candidates {
 
     /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit
     /// changes by less than one σ (our choice: noise hides such a change). If no fit leads, the noise is learnt from
-    /// the plain model's residual; the other fits of a rough model then stay, because each takes many simulations.
+    /// the plain model's residual, and the other fits stay.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
         for _ in 0..NOISES {
             let (next, before) = {
@@ -210,15 +210,14 @@ impl Candidates {
                 (surroundings(&now, asked, self.best()), now.reading(self.best()))
             };
             let renewed = next.about(study);
-            if self.leading.is_none() && study.model.roughness().is_some() {
+            if self.leading.is_none() {
                 self.base = renewed.fit_from(&[&self.base]).swap_remove(0);
                 self.leading = leading(&renewed, &self.base, &self.fits);
             }
-            let mut leads = self.leading.is_some();
-            if leads || study.model.roughness().is_none() {
+            let leads = self.leading.is_some();
+            if leads {
                 self.refit(&renewed);
                 self.leading = leading(&renewed, &self.base, &self.fits);
-                leads |= self.leading.is_some();
             }
             let moved = next.whitener.apply(&slope(&renewed.reading(self.best()), &before, 1.0));
             self.around = next;
@@ -228,13 +227,13 @@ impl Candidates {
         }
     }
 
-    /// Nuisances are linearised in the sand of the best fit. Other fits have another sand, and would predict worse for this reason alone:
-    /// a rig that leans is a slope, whose effect is not linear. So the base and single causes are fitted again with nuisances that are
-    /// linearised at their own fits. Most pairs have the leading cause; a rough model's derivatives would need too many simulations.
+    /// Nuisances are linearised in the sand of the best fit. If this sand slopes, models with a rig that leans instead would predict worse
+    /// for this reason alone, because the effect is not linear. So in data in which the two are one thing, the base and single causes are
+    /// fitted again with nuisances that are linearised at their own fits. Most pairs have the leading cause.
     fn adjust(&mut self, study: &FitInputs) {
         let best = self.leading.map_or(0, |k| k + 1);
         let own = |&(k, fit): &(usize, &Fit)| {
-            if k == best || fit.ids.len() > 1 || study.model.roughness().is_some() {
+            if k == best || fit.ids.len() > 1 || study.twins().is_none() {
                 return (fit.clone(), study.nuisances.clone());
             }
             let own = study.with_nuisances(bent(study, study.whitener, fit));

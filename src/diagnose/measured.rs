@@ -29,9 +29,6 @@ const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
 /// because each fit takes time.
 const FAR_FITTED: usize = 3;
 
-/// How often nuisances are linearised in the sand of such a fit: our choice; the sand hardly changes after the second time.
-const SANDS: usize = 3;
-
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
     pub fit: Fit,
@@ -61,8 +58,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     promising.retain(|p| p.1 > WORTH || late(p.0));
     promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
-    // Others, and coefficients, may stand in for a large effect that is not linear, so its fit begins anew, with the stated sand and
-    // without any of them, and at larger values.
+    // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
     let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
@@ -78,12 +74,11 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
         let curved = study.nuisances[index].nearly_linear.is_finite();
         for &start in FAR.iter().filter(|_| curved && far(index)) {
             let mut still = base.clone();
-            still.deviations.fill(0.0);
-            let sand = still.clone();
+            still.deviations[COEFFICIENTS..].fill(0.0);
             still.deviations[COEFFICIENTS + index] = start;
-            let nuisances = study.nuisances_of(&sand, &still);
+            let nuisances = study.nuisances_of(base, &still);
             still.deviations[COEFFICIENTS + index] /= WIDE;
-            let anew = widened(study, &sand, nuisances, (index, still), best.fit.objective);
+            let anew = widened(study, base, nuisances, (index, still), best.fit.objective);
             if anew.fit.objective < best.fit.objective {
                 best = anew;
             }
@@ -108,26 +103,21 @@ pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<Measur
     parallel::map(wide, of)
 }
 
-/// A fit with a wide prior for the nuisance `index`, begun at `from`, with nuisances at first in the sand of `sand`, and then in its own;
-/// abandoned if it is unlikely to reach the objective `best`.
+/// A fit with a wide prior for the nuisance `index`, begun at `from`; abandoned if it is unlikely to reach the objective `best`.
 fn widened(
     study: &FitInputs,
-    sand: &Fit,
+    base: &Fit,
     mut nuisances: Vec<Nuisance>,
     (index, from): (usize, Fit),
     best: f64,
 ) -> MeasuredFit {
     nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
-    let mut now = study.with_nuisances(nuisances);
-    let mut fit = now.fit_from(&[&from]).swap_remove(0);
-    let mut sand = sand.clone();
-    for _ in 0..SANDS {
-        let (nuisances, at) = settled_nuisances(now, &sand, fit, best);
-        now = study.with_nuisances(nuisances);
-        fit = now.fit_from(&[&at]).swap_remove(0);
-        sand.clone_from(&fit);
-    }
-    MeasuredFit { fit, nuisances: now.nuisances }
+    let now = study.with_nuisances(nuisances);
+    let at = now.fit_from(&[&from]).swap_remove(0);
+    let (nuisances, at) = settled_nuisances(now, base, at, best);
+    let last = study.with_nuisances(nuisances);
+    let fit = last.fit_from(&[&at]).swap_remove(0);
+    MeasuredFit { fit, nuisances: last.nuisances }
 }
 
 /// The same model as `fit`, with the effect of measuring in place of the mechanism that it is one thing with. A fit of its own would come
