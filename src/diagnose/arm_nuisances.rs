@@ -8,7 +8,7 @@ use super::fit::slope;
 use super::force_model::ForceLogModel;
 use super::forward::{ForwardModel, SandParameters};
 use super::measuring::Measuring;
-use super::nuisance::{Nuisance, NuisanceState, Priors, estimate};
+use super::nuisance::{Nuisance, NuisanceState, Priors, RIG, estimate};
 use super::track::{Track, Wrench};
 use crate::parallel;
 use crate::sand::mechanism::Mechanisms;
@@ -26,10 +26,6 @@ const SIZE_STEP: f64 = 2e-3;
 const LINEAR: f64 = 1.5;
 /// The same for a rig that leans, which must fit as exactly as a slope does: our choice, so that it is always computed at its estimate.
 const LINEAR_LEAN: f64 = 0.05;
-
-/// Of what the attitude of a rig is that carries legs. A mount tilts plates and not their path; a rig turns legs, their path, and the
-/// sensor's axes. That is a slope of the surface in the other direction, so legs alone cannot tell the two apart.
-pub(super) const RIG: &str = "the rig of the legs";
 
 /// A state of the sand, the effects of measuring in it, and their present estimates.
 struct Present<'a> {

@@ -2,7 +2,6 @@
 
 use super::acceleration::Accelerations;
 use super::arm::{Arm, IntruderSegments};
-use super::arm_nuisances::RIG;
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, planned, possible};
@@ -10,7 +9,7 @@ use super::forward::{Division, Feature, ForwardModel, Menu, SandParameters, Test
 use super::known::Recent;
 use super::measuring::Measuring;
 use super::motion::moving;
-use super::nuisance::{Nuisance, NuisanceState};
+use super::nuisance::{Nuisance, NuisanceState, RIG};
 use super::observations::Observations;
 use super::response::{CoefficientResponse, is_linear};
 use super::series::root_mean_square;

@@ -11,6 +11,10 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Of what the attitude of a rig is that carries legs. A mount tilts plates and not their path; a rig turns legs, their path, and the
+/// sensor's axes. That is a slope of the surface in the other direction, so legs alone cannot tell the two apart.
+pub const RIG: &str = "the rig of the legs";
+
 /// One nuisance of all data.
 #[derive(Clone, Debug)]
 pub struct Nuisance {
