@@ -174,4 +174,8 @@ fn readings_by_hand_calibrate_a_sand() {
     assert_eq!(by_trial["sizes"], study["sizes"]);
     refused(&["calibrate", &files[0], &path("all.csv")], &["all.csv", "without a column trial"]);
     refused(&["calibrate", &files[0], "--area", "5"], &["area", "[1e-7, 1]"]);
+    // Several pushes in one file are not taken for one.
+    let run = std::fs::read_to_string(path("all.csv")).unwrap().replacen("trial", "Run", 1);
+    std::fs::write(path("run.csv"), run).unwrap();
+    refused(&["calibrate", &path("run.csv")], &["run.csv", "begins again", "column trial"]);
 }

@@ -20,12 +20,17 @@ const COLUMNS: [HeaderColumn; 7] = [
 ];
 /// Allowed diameters and sides of plates [m]: our choice; smaller or larger ones have a wrong unit.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
+/// A push begins again if the depth falls by more than this share of the greatest depth so far from one row to the next: our
+/// choice; noise and the way up fall by less.
+const BEGINS_AGAIN: f64 = 0.5;
 
 /// The contents of a file.
 #[derive(Default)]
 pub struct Tests {
     /// Depths of all rows [m].
     pub depth: Vec<f64>,
+    /// The greatest depth so far [m].
+    deepest: f64,
     /// Forces of all rows [N].
     pub force: Vec<f64>,
     /// Empty if the file has no column `trial`.
@@ -67,6 +72,13 @@ impl Tests {
 
     fn take(&mut self, row: &Row) -> Result<()> {
         let (depth, force) = (row.needed_within(0, MOST)?, row.needed_within(1, MOST)?);
+        let fall = self.depth.last().map_or(0.0, |last| last - depth);
+        if row.text(2).is_none() && fall > BEGINS_AGAIN * self.deepest {
+            return Err(
+                row.error(0, "begins again: name each push in a column trial, or sort the rows of one push by depth")
+            );
+        }
+        self.deepest = self.deepest.max(depth);
         self.depth.push(depth);
         self.force.push(force);
         let Some(name) = row.text(2) else { return Ok(()) };
