@@ -205,7 +205,7 @@ fn split_loosely<'a>(header: &'a str, column: &HeaderColumn) -> (&'a str, Option
 
 /// Are two names the same but for small and capital letters? Names of one letter are not: t is the time, T a temperature.
 fn is_alike(name: &str, ours: &str) -> bool {
-    ours.len() > 1 && name.eq_ignore_ascii_case(ours)
+    name == ours || (ours.len() > 1 && name.eq_ignore_ascii_case(ours))
 }
 
 /// The beginning of a cell, for a message: our choice, longer than any unit.

@@ -138,6 +138,9 @@ fn of_leg(
 fn buckling(tree: &Tree, frames: &[Isometry3<f64>], leg: &[usize], tip: V) -> f64 {
     let hinge = |i: &usize| Some((tree.bodies[*i].hinge_axis(&frames[*i])?, tip - frames[*i].translation.vector));
     let hinges: Vec<(V, V)> = leg.iter().filter_map(hinge).collect();
+    if hinges.is_empty() {
+        return 0.0; // all joints slide
+    }
     // A hinge that is nearer to the base turns what another one does to the foot.
     let by = |i: usize, j: usize| {
         let (near, (axis, arm)) = (hinges[i.min(j)].0, hinges[i.max(j)]);
