@@ -8,7 +8,7 @@ use super::fit::slope;
 use super::force_model::ForceLogModel;
 use super::forward::{ForwardModel, SandParameters};
 use super::measuring::Measuring;
-use super::nuisance::{Nuisance, NuisanceState, Priors, RIG, estimate};
+use super::nuisance::{Nuisance, NuisanceState, Priors, estimate};
 use super::track::{Track, Wrench};
 use crate::parallel;
 use crate::sand::mechanism::Mechanisms;
@@ -24,8 +24,6 @@ const SIZE_STEP: f64 = 2e-3;
 /// An estimate below this many prior standard deviations counts as 0 for the derivative: our choice; up to there the effects
 /// are nearly linear.
 const LINEAR: f64 = 1.5;
-/// The same for a rig that leans, which must fit as exactly as a slope does: our choice, so that it is always computed at its estimate.
-const LINEAR_LEAN: f64 = 0.05;
 
 /// A state of the sand, the effects of measuring in it, and their present estimates.
 struct Present<'a> {
@@ -42,7 +40,6 @@ enum RigChange {
     Tilt,
     Plates,
     Legs,
-    Rig,
     Size,
 }
 
@@ -52,7 +49,7 @@ impl RigChange {
             Self::Delay => TIME_STEP,
             Self::Depth => DEPTH_STEP,
             Self::Tilt => TILT_STEP,
-            Self::Plates | Self::Legs | Self::Rig => ANGLE_STEP,
+            Self::Plates | Self::Legs => ANGLE_STEP,
             Self::Size => SIZE_STEP,
         }
     }
@@ -79,7 +76,6 @@ impl ForceLogModel<'_> {
                 let tracks = self.tracks.iter().map(turned).collect();
                 self.with_tracks(tracks).predict(&(*m, *c))
             }
-            RigChange::Rig => with(Mechanisms { slope: m.slope - by, ..*m }),
             RigChange::Size => {
                 let larger = |intruder: Intruder| match intruder {
                     Intruder::Leg { chord, width, xi_deg, thickness } => {
@@ -101,14 +97,15 @@ impl ForceLogModel<'_> {
     }
 
     fn measuring(&self, sand: &SandParameters) -> Measuring {
-        use RigChange::{Delay, Depth, Legs, Plates, Rig, Size, Tilt};
         let here = self.predict(sand);
         let by = |change: RigChange| slope(&self.changed(sand, change, change.step()), &here, change.step());
-        let [late, deep, tilted, plates, legs, leaning, larger] = [Delay, Depth, Tilt, Plates, Legs, Rig, Size].map(by);
+        let all =
+            [RigChange::Delay, RigChange::Depth, RigChange::Tilt, RigChange::Plates, RigChange::Legs, RigChange::Size];
+        let [late, deep, tilted, plates, legs, larger] = all.map(by);
         let grounds = [self.ground(&sand.1)];
         let steps = parallel::map(&self.tracks, |t| self.arm(t, &sand.0, &grounds).between());
         let near = Mutex::default();
-        Measuring { mechanisms: sand.0, here, late, deep, tilted, plates, legs, leaning, larger, steps, near }
+        Measuring { mechanisms: sand.0, here, late, deep, tilted, plates, legs, larger, steps, near }
     }
 
     /// `stack` in the trials of one shape, 0 in all others.
@@ -150,10 +147,6 @@ impl ForceLogModel<'_> {
                 all.push(self.far(&present, ("attitude", Some(shape)), change, &own));
             }
         }
-        // Plates in the same log are mounted on their own, and tell a slope from a rig that leans.
-        if self.shapes(true).is_empty() {
-            all.push(self.far(&present, ("attitude", Some(RIG)), RigChange::Rig, &whole));
-        }
         for shape in [self.shapes(true), self.shapes(false)].concat() {
             let own = |stack: &[f64]| self.only_shape(stack, shape);
             all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own));
@@ -185,8 +178,7 @@ impl ForceLogModel<'_> {
         part: &dyn Fn(&[f64]) -> Vec<f64>,
     ) -> Nuisance {
         let value = estimate(values, id, of);
-        let least = if matches!(change, RigChange::Rig) { LINEAR_LEAN } else { LINEAR };
-        let linear = least * self.experiment.nuisances.sd(id);
+        let linear = LINEAR * self.experiment.nuisances.sd(id);
         let curved = |nuisance: Nuisance| Nuisance { nearly_linear: linear, ..nuisance };
         if value.abs() <= linear {
             return m.near(id, of, || curved(self.at_prior(id, part(m.rate(change)))));
@@ -265,7 +257,6 @@ impl Measuring {
             RigChange::Tilt => &self.tilted,
             RigChange::Plates => &self.plates,
             RigChange::Legs => &self.legs,
-            RigChange::Rig => &self.leaning,
             RigChange::Size => &self.larger,
         }
     }

@@ -13,7 +13,6 @@ use super::verdict::{self, Compared, Effect, Role};
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::number::dot;
-use crate::parallel;
 use crate::progress::Progress;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
@@ -67,9 +66,6 @@ pub struct Candidates {
     pub around: Surroundings,
     /// Plain model with coefficients and nuisances fitted within their priors.
     pub base: Fit,
-    /// Nuisances linearised at the base, and at each of `fits`.
-    pub base_nuisances: Vec<Nuisance>,
-    pub own_nuisances: Vec<Vec<Nuisance>>,
     /// The plain model: its coefficients are the stated ones, and nuisances are fitted within their priors.
     pub stated: Fit,
     /// The base, and the leading cause, each with one effect of measuring that may be far larger than stated.
@@ -111,22 +107,8 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     }
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
-    let (around, stated) = (around.clone(), base.clone());
-    let (base_nuisances, own_nuisances, measured, absent) = Default::default();
-    let mut found = Candidates {
-        screened,
-        around,
-        base,
-        base_nuisances,
-        own_nuisances,
-        stated,
-        measured,
-        absent,
-        fits,
-        leading,
-        behind,
-        earlier,
-    };
+    let (around, stated, measured, absent) = (around.clone(), base.clone(), Vec::new(), Vec::new());
+    let mut found = Candidates { screened, around, base, stated, measured, absent, fits, leading, behind, earlier };
     progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
@@ -137,19 +119,12 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     let renewed = around.about(study);
     found.leading = self::leading(&renewed, &found.base, &found.fits);
     progress.report(0.78, "effects of measuring")?;
-    found.adjust(&renewed);
-    let plain = renewed.with_nuisances(found.base_nuisances.clone());
-    found.stated = plain_fit(&plain, &found.base);
-    found.measured = measured::measured(&plain, &found.base);
-    let (twins, twin) = (found.twins(&renewed, 1), renewed.twins().map(|t| t.1));
-    let wide = |own: &MeasuredFit, k: usize| own.nuisances[k].sd > own.nuisances[k].stated_sd;
-    found.measured.retain(|own| twins.is_empty() || twin.is_none_or(|k| !wide(own, k)));
-    found.measured.extend(twins);
-    found.absent = measured::absent(&plain, &found.base, &found.measured);
+    found.stated = plain_fit(&renewed, &found.base);
+    found.measured = measured::measured(&renewed, &found.base);
+    found.absent = measured::absent(&renewed, &found.base, &found.measured);
     if let Some(leading) = found.leading.map(|k| &found.fits[k]).filter(|fit| fit.ids.len() == 1) {
         found.measured.extend(measured::measured(&renewed, leading));
     }
-    found.measured.extend(found.twins(&renewed, 2));
     Ok(found)
 }
 
@@ -225,37 +200,6 @@ impl Candidates {
                 break;
             }
         }
-    }
-
-    /// Nuisances are linearised in the sand of the best fit. If this sand slopes, models with a rig that leans instead would predict worse
-    /// for this reason alone, because the effect is not linear. So in data in which the two are one thing, the base and single causes are
-    /// fitted again with nuisances that are linearised at their own fits. Most pairs have the leading cause.
-    fn adjust(&mut self, study: &FitInputs) {
-        let best = self.leading.map_or(0, |k| k + 1);
-        let own = |&(k, fit): &(usize, &Fit)| {
-            if k == best || fit.ids.len() > 1 || study.twins().is_none() {
-                return (fit.clone(), study.nuisances.clone());
-            }
-            let own = study.with_nuisances(bent(study, study.whitener, fit));
-            (own.fit_from(&[fit]).swap_remove(0), own.nuisances)
-        };
-        let all: Vec<(usize, &Fit)> = [&self.base].into_iter().chain(&self.fits).enumerate().collect();
-        let mut adjusted = parallel::map(&all, own).into_iter();
-        if let Some(base) = adjusted.next() {
-            (self.base, self.base_nuisances) = base;
-        }
-        (self.fits, self.own_nuisances) = adjusted.unzip();
-    }
-
-    /// The fits of `count` causes, each with the effect of measuring that is one thing with one of its mechanisms ([`measured::twin`]).
-    fn twins(&self, study: &FitInputs, count: usize) -> Vec<MeasuredFit> {
-        let own = self.fits.iter().zip(&self.own_nuisances).filter(|(fit, _)| fit.ids.len() == count && !fit.is_idle());
-        own.filter_map(|(fit, nuisances)| measured::twin(&study.with_nuisances(nuisances.clone()), fit)).collect()
-    }
-
-    /// A study with the nuisances of the base.
-    pub fn about_base<'a>(&'a self, study: &FitInputs<'a>) -> FitInputs<'a> {
-        study.under(&self.around.whitener, self.base_nuisances.clone())
     }
 
     /// Repeats all fits, each from its end state.

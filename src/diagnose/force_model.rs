@@ -9,7 +9,7 @@ use super::forward::{Division, Feature, ForwardModel, Menu, SandParameters, Test
 use super::known::Recent;
 use super::measuring::Measuring;
 use super::motion::moving;
-use super::nuisance::{Nuisance, NuisanceState, RIG};
+use super::nuisance::{Nuisance, NuisanceState};
 use super::observations::Observations;
 use super::response::{CoefficientResponse, is_linear};
 use super::series::root_mean_square;
@@ -212,12 +212,6 @@ impl ForwardModel for ForceLogModel<'_> {
 
     fn nuisances(&self, sand: &SandParameters, values: &[NuisanceState]) -> Vec<Nuisance> {
         if self.stopped() { Vec::new() } else { self.effects_of_measuring(sand, values) }
-    }
-
-    /// On legs alone a rig that leans is a slope.
-    fn twins(&self) -> Option<(usize, &'static str, &'static str)> {
-        let legs = self.tracks.iter().all(|t| matches!(t.intruder, Intruder::Leg { .. }));
-        Some((Mechanisms::index("slope").ok().filter(|_| legs)?, "attitude", RIG))
     }
 
     /// For states that differ only in the coefficients, the response to the coefficients is computed once.

@@ -78,11 +78,6 @@ pub trait ForwardModel: Sync {
     fn nuisances(&self, _sand: &SandParameters, _values: &[NuisanceState]) -> Vec<Nuisance> {
         Vec::new()
     }
-    /// A mechanism (index in the catalogue) and an effect of measuring (id and of what) that are one thing in these data: with the value
-    /// v of the mechanism, or −v of the effect, all numbers are the same.
-    fn twins(&self) -> Option<(usize, &'static str, &'static str)> {
-        None
-    }
     /// A prediction of the simulator, without the corrections of [`Self::predict`].
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
         prediction.to_vec()

@@ -1,11 +1,10 @@
 //! The first lines of a report: what is wrong, how much, how sure, and what to do.
 
-use super::motions::most_changed;
 use super::nuisance::{CauseKind, kind};
 use super::report::{Cause, Report};
 use super::split::percent;
 use super::verdict::{Verdict, Written};
-use super::words::{LEAST_PERCENT, after, capital, digits};
+use super::words::{after, capital, digits};
 use crate::sand::mechanism::{CATALOG, Side};
 
 /// Most characters of a headline.
@@ -56,7 +55,7 @@ pub fn kind_of_mechanism(id: usize) -> CauseKind {
     }
 }
 
-/// A cause in words, with its value: `the plate, the leg or the rig is tilted by 2.1° (±0.2°) (attitude of Pn 0.036 rad ± 0.003)`.
+/// A cause in words, with its value: `the plate or leg is tilted (attitude of Pn 0.036 rad ± 0.003)`.
 fn found(c: &Cause) -> String {
     let of = c.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
     let half = 0.5 * (c.ci95[1] - c.ci95[0]);
@@ -81,17 +80,12 @@ fn fitting(clauses: impl IntoIterator<Item = String>) -> String {
     capital(&all)
 }
 
-/// How far measured forces are from the prediction, or what else has changed. A robot's readings are no forces, so how strong its sand
-/// is. None if no change is as large as one percent.
+/// How far measured forces are from the prediction. A robot's readings are no forces, so how strong its sand is.
 pub fn below(r: &Report) -> Option<String> {
     let Some(recalibration) = &r.recalibration else { return None };
     let share = 100.0 * (recalibration.factor - 1.0);
     let [side, than] = if share < 0.0 { ["below", "weaker"] } else { ["above", "stronger"] };
     let forces = r.gain.in_units.as_ref().is_none_or(|gain| gain.unit == "N");
-    if share.abs() < LEAST_PERCENT {
-        let changed = most_changed(&recalibration.coefficients);
-        return changed.map(|(motion, by)| format!("the mean stress is right, but {} on {motion}", percent(by)));
-    }
     Some(match forces {
         true => format!("measured forces are {:.0} % {side} the prediction", share.abs()),
         false => format!("the sand is {:.0} % {than} than stated", share.abs()),

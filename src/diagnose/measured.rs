@@ -1,16 +1,13 @@
 //! Effects of measuring as answers: models in which one of them may be far larger than stated.
 
 use super::evidence::EvidenceTable;
-use super::fit::{COEFFICIENTS, Fit, Stack};
+use super::fit::{COEFFICIENTS, Fit};
 use super::gauss_newton::MOST_DEVIATION;
 use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
 use super::settling::{bound, settled_nuisances};
 use super::study::FitInputs;
-use crate::number::dot;
 use crate::parallel;
-use crate::sand::mechanism::Mechanisms;
-use std::sync::Arc;
 
 /// Factor on the prior standard deviation of an effect that may be the answer: our choice, so wide that the prior has no say
 /// (a log that is late by 120 ms, a plate that is turned by 40°).
@@ -118,37 +115,6 @@ fn widened(
     let last = study.with_nuisances(nuisances);
     let fit = last.fit_from(&[&at]).swap_remove(0);
     MeasuredFit { fit, nuisances: last.nuisances }
-}
-
-/// The same model as `fit`, with the effect of measuring in place of the mechanism that it is one thing with. A fit of its own would come
-/// near it only: columns of other parameters are computed without the effect. None if `fit` does not have the mechanism.
-pub fn twin(study: &FitInputs, fit: &Fit) -> Option<MeasuredFit> {
-    let (id, index) = study.twins()?;
-    let (place, own) = (fit.ids.iter().position(|i| *i == id)?, &study.nuisances[index]);
-    if own.sd != own.stated_sd || fit.slopes.is_empty() {
-        return None;
-    }
-    let (sd, before) = (WIDE * own.stated_sd, fit.deviations[COEFFICIENTS + index]);
-    let mechanisms = fit.mechanisms.with(id, Mechanisms::PLAIN.get(id));
-    let (mut deviations, mut slopes, mut ids) = (fit.deviations.clone(), fit.slopes.clone(), fit.ids.clone());
-    let value = (own.sd * before - fit.mechanisms.get(id)) / sd;
-    let column: Stack = Arc::new(slopes.remove(place).iter().map(|s| -sd * s).collect());
-    ids.remove(place);
-    slopes[ids.len() + COEFFICIENTS + index] = column.clone();
-    deviations[COEFFICIENTS + index] = value;
-    let prediction = study.model.predict(&(mechanisms, study.coefficients(&fit.deviations)));
-    // What the mechanism and the effect change together, less the linear part.
-    let bent = own.bend.as_ref();
-    let rest = |k: usize| {
-        let earlier = before * own.column[k] + bent.map_or(0.0, |bend| bend[k]);
-        fit.prediction[k] + earlier - prediction[k] - value * column[k]
-    };
-    let bend = Arc::new((0..prediction.len()).map(rest).collect());
-    let mut nuisances = study.nuisances.clone();
-    nuisances[index] = Nuisance { sd, column, bend: Some(bend), ..own.clone() };
-    let objective = dot(&fit.white, &fit.white) + dot(&deviations, &deviations);
-    let fit = Fit { ids, mechanisms, deviations, prediction, objective, slopes, white: fit.white.clone() };
-    Some(MeasuredFit { fit, nuisances })
 }
 
 /// The one effect of measuring that, within its stated prior, alone gives what all of them give to the plain model. None if they give

@@ -17,8 +17,6 @@ pub struct Measuring {
     /// intruder only.
     pub plates: Vec<f64>,
     pub legs: Vec<f64>,
-    /// Change by the attitude of the rig that carries the legs.
-    pub leaning: Vec<f64>,
     pub larger: Vec<f64>,
     /// Loads of each track at the steps of a filter.
     pub steps: Vec<Vec<[Wrench; 1]>>,

@@ -60,7 +60,6 @@ mod measuring;
 mod minimise;
 mod misfit;
 mod motion;
-mod motions;
 mod nested;
 mod next_experiment;
 pub mod noise;

@@ -8,7 +8,7 @@ use super::observations::{Observations, Unit};
 use super::report::{NextExperiment, Proposal};
 use super::select::Selection;
 use super::study::FitInputs;
-use super::verdict::{Effect, Role};
+use super::verdict::Role;
 use super::whiten::Whitener;
 use super::words::{after, digits};
 use crate::sand::Term;
@@ -106,26 +106,6 @@ fn beyond(model: &dyn ForwardModel) -> Vec<Proposal> {
     all
 }
 
-/// Do two explanations differ only in which of two effects they have that are one thing in these data?
-fn are_twins(study: &FitInputs, one: &[Effect], other: &[Effect]) -> bool {
-    let Some((id, index)) = study.twins() else { return false };
-    let sand = |effects: &[Effect]| -> Vec<Effect> {
-        let of = |e: &Effect| if *e == Effect::Measuring(index) { Effect::Mechanism(id) } else { *e };
-        effects.iter().map(of).collect()
-    };
-    let (one, other) = (sand(one), sand(other));
-    one.len() == other.len() && one.iter().all(|e| other.contains(e))
-}
-
-/// The experiment that decides between a rig that leans and a surface that slopes.
-fn turned(decides: Vec<String>) -> NextExperiment {
-    let condition = "the same trials with the rig turned by 180° about the vertical, in a log of their own".into();
-    let conditions = vec![Proposal { condition, repetitions: REPETITIONS, expected_separation: None }];
-    let why = "in these data both are one thing; the value changes its sign with the rig's direction if it is the sand, and a level on \
-               the rig shows its attitude";
-    NextExperiment { why: why.into(), decides, conditions, expected: None }
-}
-
 /// The experiment that decides between two explanations.
 fn deciding(model: &dyn ForwardModel, noise: &KnownNoise, pair: [&Explanation; 2], why: String) -> NextExperiment {
     let menu = model.menu();
@@ -182,12 +162,6 @@ pub fn next(
         deciding(study.model, noise, [&pair[0], &pair[1]], why.to_string())
     };
     let set = &selection.ruling.set;
-    if let [first, rest @ ..] = &set[..]
-        && let Some(second) = rest.iter().find(|k| are_twins(study, &rows[*first].effects, &rows[**k].effects))
-    {
-        let decides = [*first, *second].map(|k| explanation(k).name).to_vec();
-        return Some(turned(decides));
-    }
     if let [first, rest @ ..] = &set[..]
         && let Some(&second) = rest.iter().max_by(|a, b| rows[**a].elpd.total_cmp(&rows[**b].elpd))
     {

@@ -11,10 +11,6 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Of what the attitude of a rig is that carries legs. A mount tilts plates and not their path; a rig turns legs, their path, and the
-/// sensor's axes. That is a slope of the surface in the other direction, so legs alone cannot tell the two apart.
-pub const RIG: &str = "the rig of the legs";
-
 /// One nuisance of all data.
 #[derive(Clone, Debug)]
 pub struct Nuisance {
@@ -144,7 +140,7 @@ kinds! {
     "delay" "s" 2e-3 Measurement false [], "the force log is late", "Shift the rows of these channels earlier by the value";
     "lowpass" "s" 5e-3 Measurement false [], "the force channels are filtered", "Switch off the filter of these channels, or filter the motion with the same constant";
     "clock" "1" 1e-3 Measurement false [], "the clock of the force log runs at another rate", "";
-    "attitude" "rad" 0.035 Measurement true [], "the plate, the leg or the rig is tilted", "Align the intruder or its rig, or add the value to the logged angle";
+    "attitude" "rad" 0.035 Measurement true [], "the plate or leg is tilted", "Add the value to the logged angle, or align the intruder";
     "joint_zero" "rad" 0.02 Measurement true [], "the zero of the leg's angle is off", "Add the value to the logged angle, or calibrate the encoder";
     "size" "1" 0.02 Measurement true [], "the intruder has another size than stated", "Measure the intruder, and state its true length and width";
     "origin" "m" 1e-3 Measurement true [], "torques are taken about another point than stated", "State the place of the sensor, or move the torques to the hip or plate centre";

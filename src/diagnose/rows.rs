@@ -59,8 +59,7 @@ impl Fits {
             Place::Plain => &self.plain.nuisances,
             Place::Measured(k) => &self.candidates.measured[k].nuisances,
             Place::Absent(k) => &self.candidates.absent[k].nuisances,
-            Place::Base | Place::Stated => &self.candidates.base_nuisances,
-            Place::Candidate(k) => &self.candidates.own_nuisances[k],
+            _ => &self.candidates.around.nuisances,
         }
     }
 

@@ -79,11 +79,9 @@ impl Selection {
     /// The one effect of measuring that shows although nothing is wrong with the sand.
     fn shows(&self, study: &FitInputs) -> Option<usize> {
         let quiet = matches!(self.ruling.verdict, Verdict::NoiseFloor | Verdict::Recalibrated);
-        let base = self.fits.candidates.about_base(study);
-        let own = if self.standing.stated { base.stated() } else { base };
-        let found = quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten();
-        // What may as well be a mechanism is not established.
-        found.filter(|k| own.twins().is_none_or(|(_, twin)| twin != *k))
+        let around = self.fits.candidates.around.about(study);
+        let own = if self.standing.stated { around.stated() } else { around };
+        quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()
     }
 
     /// The effect of measuring that this selection names alone.
@@ -139,11 +137,10 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
     let around = candidates.around.clone();
     let renewed = around.about(study);
     let profiled = explored(&renewed, &mut candidates);
-    let about_base = renewed.with_nuisances(candidates.base_nuisances.clone());
-    let alone = laws(&about_base, &candidates.base);
+    let alone = laws(&renewed, &candidates.base);
     let leading = candidates.leading.map(|k| &candidates.fits[k]).filter(|_| !alone.terms.is_empty());
     let beside = leading.map_or_else(Laws::default, |fit| laws(&renewed, fit));
-    let plain = plain(&about_base, stated, &candidates);
+    let plain = plain(&renewed, stated, &candidates);
     let fits = Fits { candidates, plain, laws: [alone, beside], rows: Vec::new() }.with_rows();
     progress.report(0.85, "held-out conditions")?;
     let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());

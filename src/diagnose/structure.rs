@@ -42,32 +42,7 @@ fn parts(o: &Observations, model: &dyn ForwardModel) -> Vec<DataPart> {
     all
 }
 
-impl DataPart {
-    /// Errors of `reading` in this part and in the rest: measured less read, along the reading, as a share of it. None where nothing is read.
-    fn errors(&self, o: &Observations, reading: &[f64]) -> [Option<f64>; 2] {
-        let mut sums = [[0.0; 2]; 2];
-        for (unit, holds) in o.units.iter().zip(&self.holds) {
-            for (c, _) in o.channels.iter().enumerate().filter(|c| c.1.in_rmse) {
-                for (k, own) in unit.block(c).zip(holds) {
-                    let [error, square] = &mut sums[usize::from(!own)];
-                    *error += (o.values[k] - reading[k]) * reading[k];
-                    *square += reading[k].powi(2);
-                }
-            }
-        }
-        sums.map(|[error, square]| (square > 0.0).then(|| error / square))
-    }
-
-    /// Both errors in words.
-    fn said(&self, o: &Observations, reading: &[f64]) -> String {
-        let [own, rest] = self.errors(o, reading);
-        let rest = rest.map_or(String::new(), |rest| format!(", and by {} elsewhere", percent(rest)));
-        format!("what is fitted still errs by {} {}{rest}", percent(own.unwrap_or(0.0)), self.name)
-    }
-}
-
-/// The part of the data whose forces need a factor of their own beside the fit of `base`, in words. The words have the errors of this
-/// fit, because the factor belongs to another one, in which the coefficients give way to it. The level is that of every comparison: a
+/// The part of the data whose forces need a factor of their own beside the fit of `base`, in words. The level is that of every comparison: a
 /// model with this factor predicts left-out conditions better beyond twice the standard error (2.3 %, one-sided). The part is chosen
 /// anew with each condition left out, so their number is no advantage. None also if readings are no forces, as those of walking robots,
 /// whose simulations are rough: a factor on them has no meaning.
@@ -88,6 +63,6 @@ pub fn left(study: &FitInputs, base: &Contender) -> Option<String> {
     let models = [*base, Contender { columns: &columns, ..*base }];
     let table = EvidenceTable::new(study, study.whitener, &models);
     let own = &table.rows[1].predicted;
-    let part = &parts[own.law?];
-    table.beats(1, 0).then(|| part.said(o, &base.reading()))
+    let (part, factor) = (&parts[own.law?], own.step.as_slice().last()?);
+    table.beats(1, 0).then(|| format!("{} of the forces are left {}", percent(*factor), part.name))
 }

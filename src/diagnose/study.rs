@@ -159,13 +159,6 @@ impl<'a> FitInputs<'a> {
         there.into_iter().filter_map(own).collect()
     }
 
-    /// The effect of measuring that is one thing with a mechanism in these data ([`ForwardModel::twins`]), and this mechanism.
-    pub fn twins(&self) -> Option<(usize, usize)> {
-        let (id, nuisance, of) = self.model.twins()?;
-        let own = |n: &Nuisance| n.id == nuisance && n.of.as_deref() == Some(of);
-        Some((id, self.nuisances.iter().position(own)?))
-    }
-
     /// The readings that `fit` predicts: the sand and the nuisances.
     pub fn reading(&self, fit: &Fit) -> Vec<f64> {
         reading(fit, &self.nuisances)

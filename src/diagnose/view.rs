@@ -7,7 +7,6 @@ use super::gate::FoundEffect;
 use super::gauss_newton::MOST_DEVIATION;
 use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
-use super::motions::COEFFICIENT_NAMES;
 use super::next_experiment::KnownNoise;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
@@ -25,6 +24,9 @@ use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
 use std::collections::BTreeMap;
+
+/// Names of the stress coefficients in sand.toml.
+const COEFFICIENT_NAMES: [&str; COEFFICIENTS] = ["a00", "a10", "b11", "b01", "bm11", "c11", "c01", "cm11", "d10"];
 
 /// The inputs of a report with a verdict.
 pub struct ReportView<'a> {
@@ -72,7 +74,7 @@ impl ReportView<'_> {
             terms: s.standing.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed, &without.untestable),
             degrees_of_freedom: Some(s.table.degrees),
-            form: speed_exponent::form(&s.fits.candidates.about_base(study), s),
+            form: speed_exponent::form(&s.fits.candidates.around.about(study), s),
             free_powers: s.standing.powers.clone(),
             next_experiment: self.next_experiment(&without.untestable),
             noise: Some(NoiseSummary {
@@ -119,10 +121,9 @@ impl ReportView<'_> {
     /// Says how strong the sand is, and its coefficients. If no fit gives the strength, the ratio of the forces remains, and a note says so.
     fn recalibrate(&self, report: &mut Report) {
         let c = &self.selection.fits.candidates;
-        let about_base = c.about_base(self.study);
+        let around = c.around.about(self.study);
         let coefficients = self.coefficients();
-        match (strength::factor(&about_base, &c.base, &c.fits, self.selection.table.degrees), &mut report.recalibration)
-        {
+        match (strength::factor(&around, &c.base, &c.fits, self.selection.table.degrees), &mut report.recalibration) {
             (Some((factor, ci95)), own) => *own = Some(Recalibration { factor, ci95, coefficients }),
             (None, Some(own)) => {
                 own.coefficients = coefficients;
@@ -140,8 +141,8 @@ impl ReportView<'_> {
         let s = self.selection;
         let standing = s.ruling.model > 0 && !s.standing.stated;
         let own = standing.then(|| (s.standing.study(self.study), &s.standing.fit));
-        let c = &s.fits.candidates;
-        let (study, fit) = own.unwrap_or_else(|| (c.about_base(self.study), &c.base));
+        let around = s.fits.candidates.around.about(self.study);
+        let (study, fit) = own.unwrap_or((around, &s.fits.candidates.base));
         let reach = study.reach(fit, s.table.degrees);
         let [stated, fitted, moved] = [0.0, 1.0, 2.0].map(|step| {
             // At 2: each coefficient one stated standard deviation above its fitted value.

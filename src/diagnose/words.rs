@@ -1,8 +1,5 @@
 //! Formats numbers and texts.
 
-/// A change below this, in percent, would be shown as 0 %.
-pub const LEAST_PERCENT: f64 = 0.5;
-
 /// A number with three significant digits, or with all digits before its decimal point if there are more.
 pub fn digits(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {

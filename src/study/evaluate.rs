@@ -105,6 +105,7 @@ impl Study for Evaluate {
             return Err(Error::invalid("--commands", reason));
         }
         let bare = matches!(policy, PolicySource::Network { .. }) && !inputs.has(&settings);
+        let bare = bare && task == LeggedVelocity::ID && options["robot"].is_null();
         let assumed = bare.then(|| {
             let short = task.trim_start_matches("sandgait/");
             format!("{settings} is missing: the policy runs in {short}, with the task's defaults where --option says nothing")

@@ -196,20 +196,6 @@ fn a_tilted_plate_is_no_cause_of_the_sand() {
     }
 }
 
-/// On a rig that leans, legs feel a slope of the surface. So the slope is not named on logs of legs alone: within what is stated of the
-/// rig it explains nothing, and beyond that the rig is in the set with it. Plates tell the two apart ([`hidden_causes_are_named`]).
-#[test]
-fn a_rig_that_leans_is_no_slope() {
-    for slope in [0.035, -0.25] {
-        let log = testbed::log(11, &Hidden { causes: vec![("slope", slope)] }, 0.02).noisy;
-        let legs: Vec<&str> = log.lines().filter(|l| l.starts_with("trial") || l.contains(",leg,")).collect();
-        let r = diagnosis(&legs.join("\n")).report;
-        let has = |id: &str| r.ambiguity_set.iter().any(|set| set.iter().any(|own| own == id));
-        assert!(!has("slope") || (r.verdict == Verdict::Ambiguous && has("attitude")), "{slope}: {}", r.summary);
-        assert!(slope == 0.035 || has("slope"), "{slope}: {}", r.summary);
-    }
-}
-
 /// A log that is late is late, and the report says which rows to shift.
 #[test]
 fn a_late_log_is_late() {
