@@ -24,6 +24,9 @@ const NOISES: usize = 3;
 /// Number of candidates with one cause, and of pairs, that are fitted with the final noise and compared: our choice,
 /// because the χ² of the others is usually larger by hundreds.
 const FINALISTS: usize = 8;
+/// An effect of measuring gives the noise if its objective is less than this share of the leading candidate's: our choice; the noise
+/// hardly changes for less.
+const FAR_BETTER: f64 = 0.9;
 /// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first
 /// cause may only describe a small error in the law of the first cause.
 pub const SECOND: f64 = 0.01;
@@ -115,12 +118,21 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
         progress.report(0.6, "pairs of causes")?;
         found.add_pairs(study, asked, &screen, progress)?;
     }
-    let around = found.around.clone();
-    let renewed = around.about(study);
-    found.leading = self::leading(&renewed, &found.base, &found.fits);
     progress.report(0.78, "effects of measuring")?;
-    found.stated = plain_fit(&renewed, &found.base);
+    let mut around = found.around.clone();
+    let mut renewed = around.about(study);
+    found.leading = self::leading(&renewed, &found.base, &found.fits);
     found.measured = measured::measured(&renewed, &found.base);
+    if let Some(next) = found.about_measured(&renewed, asked) {
+        drop(renewed);
+        around = next;
+        renewed = around.about(study);
+        found.around = around.clone();
+        found.refit(&renewed);
+        found.leading = self::leading(&renewed, &found.base, &found.fits);
+        found.measured = measured::measured(&renewed, &found.base);
+    }
+    found.stated = plain_fit(&renewed, &found.base);
     found.absent = measured::absent(&renewed, &found.base, &found.measured);
     if let Some(leading) = found.leading.map(|k| &found.fits[k]).filter(|fit| fit.ids.len() == 1) {
         found.measured.extend(measured::measured(&renewed, leading));
@@ -176,41 +188,61 @@ impl Candidates {
     }
 
     /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit
-    /// changes by less than one σ (our choice: noise hides such a change). If no fit leads, the noise is learnt from
-    /// the plain model's residual, and the other fits stay.
+    /// changes by less than one σ (our choice: noise hides such a change). If no fit leads, the noise is learnt once, from the
+    /// plain model's residual; the other fits of a rough model then stay, because each takes simulations.
     fn settle(&mut self, study: &FitInputs, asked: &SearchSpace) {
+        let rough = study.model.roughness().is_some();
         for _ in 0..NOISES {
             let (next, before) = {
                 let now = self.around.about(study);
                 (surroundings(&now, asked, self.best()), now.reading(self.best()))
             };
             let renewed = next.about(study);
-            if self.leading.is_none() {
+            if rough && self.leading.is_none() {
                 self.base = renewed.fit_from(&[&self.base]).swap_remove(0);
                 self.leading = leading(&renewed, &self.base, &self.fits);
             }
-            let leads = self.leading.is_some();
-            if leads {
+            let led = self.leading.is_some();
+            if led || !rough {
                 self.refit(&renewed);
                 self.leading = leading(&renewed, &self.base, &self.fits);
             }
             let moved = next.whitener.apply(&slope(&renewed.reading(self.best()), &before, 1.0));
             self.around = next;
-            if !leads || dot(&moved, &moved) < 1.0 {
+            if !(led || self.leading.is_some()) || dot(&moved, &moved) < 1.0 {
                 break;
             }
         }
+    }
+
+    /// Noise about the effect of measuring that fits best, if this fits far better than the leading candidate: where a model is wrong by
+    /// much more than noise, the noise about it is wrong, too. None for a rough model, which would take many simulations.
+    fn about_measured(&self, study: &FitInputs, asked: &SearchSpace) -> Option<Surroundings> {
+        let best = self.measured.iter().min_by(|a, b| a.fit.objective.total_cmp(&b.fit.objective))?;
+        let better = best.fit.objective < FAR_BETTER * self.best().objective;
+        (better && study.model.roughness().is_none()).then(|| {
+            let own = study.with_nuisances(best.nuisances.clone());
+            let (noise, sizes, whitener) = noise_about(&own, asked, &best.fit);
+            let nuisances = bent(study, &whitener, &self.base);
+            Surroundings { noise, sizes, whitener, nuisances }
+        })
     }
 
     /// Repeats all fits, each from its end state.
     fn refit(&mut self, study: &FitInputs) {
         let beside = self.leading.map_or(Vec::new(), |k| study.beside(&self.fits[k]));
         let mut again = study.fit_from(&self.fits.iter().chain(&beside).collect::<Vec<_>>());
-        for other in again.split_off(self.fits.len()) {
-            let same = again.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
-            same.into_iter().for_each(|f| *f = other.clone());
-        }
+        keep_better(&mut again, self.fits.len());
         self.base = plain_beneath(study, study.fit_from(&[&self.base]).swap_remove(0), &again);
+        // A model with one more cause contains the base, so it can be no worse: where it is, the fit begins again at the base.
+        let count = again.len();
+        let lost = again.iter().filter(|fit| fit.objective > self.base.objective);
+        let from = |fit: &Fit| Fit { ids: fit.ids.clone(), slopes: Vec::new(), ..self.base.clone() };
+        let nested: Vec<Fit> = lost.map(from).collect();
+        if study.model.roughness().is_none() && !nested.is_empty() {
+            again.extend(study.fit_from(&nested.iter().collect::<Vec<_>>()));
+            keep_better(&mut again, count);
+        }
         self.fits = ranked(again);
     }
 
@@ -267,6 +299,14 @@ impl Candidates {
             self.settle(study, asked);
         }
         Ok(())
+    }
+}
+
+/// Keeps the first `count` fits, each replaced by a later one of the same causes that has a lower objective.
+fn keep_better(fits: &mut Vec<Fit>, count: usize) {
+    for other in fits.split_off(count) {
+        let same = fits.iter_mut().find(|f| f.ids == other.ids && other.objective < f.objective);
+        same.into_iter().for_each(|f| *f = other.clone());
     }
 }
 
@@ -346,9 +386,16 @@ fn plain_beneath(study: &FitInputs, base: Fit, fits: &[Fit]) -> Fit {
     best.and_then(|best| beneath(study, &base, best)).unwrap_or(base)
 }
 
-/// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
-/// prediction.
+/// Noise, whitening and nuisances about a fit.
 fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundings {
+    let (noise, sizes, whitener) = noise_about(study, asked, fit);
+    let nuisances = bent(study, &whitener, fit);
+    Surroundings { noise, sizes, whitener, nuisances }
+}
+
+/// Noise about a fit, the sizes to which it is proportional, and its whitening. The common part of a repetition's noise acts along
+/// the fit's prediction.
+fn noise_about(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> (Noise, Sizes, Whitener) {
     let source = asked.source;
     let mut uncertainty = study.model.uncertainty(&study.sand(fit), &fit.prediction);
     uncertainty.shared.retain(|s| source.uncertainty.shared.iter().any(|own| own.name == s.name));
@@ -359,6 +406,5 @@ fn surroundings(study: &FitInputs, asked: &SearchSpace, fit: &Fit) -> Surroundin
     let source = NoiseData { prediction: &reading, sizes: &sizes, uncertainty: &uncertainty, ..*source };
     let noise = source.noise(Some(asked.noise), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
-    let nuisances = bent(study, &whitener, fit);
-    Surroundings { noise, sizes, whitener, nuisances }
+    (noise, sizes, whitener)
 }

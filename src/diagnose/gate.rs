@@ -7,6 +7,7 @@ use super::laws::{FittedLaw, fitted};
 use super::left_out::Contender;
 use super::nested::{Nested, simpler};
 use super::nuisance::Nuisance;
+use super::observations::Unit;
 use super::study::FitInputs;
 use super::verdict::{Compared, Effect, Role, base};
 use super::whiten::Whitener;
@@ -171,7 +172,8 @@ impl NameTests<'_> {
         }
         let (_, [low, high]) = self.nested.reduction();
         let [gain, error] = self.nested.least();
-        if !self.nested.is_certain() {
+        let measuring = self.entries[row].effects.iter().all(|e| matches!(e, Effect::Measuring(_)));
+        if !self.nested.is_certain(measuring) {
             let said = format!("{:.0} to {:.0} %, elpd {gain:+.0} ± {error:.0}", 100.0 * low, 100.0 * high);
             let said = said.replace('-', "−");
             failed.push(format!(
@@ -202,17 +204,27 @@ impl NameTests<'_> {
             let name = &o.conditions[most];
             return Some(format!("condition {name} alone carries {} % of the evidence", digits(100.0 * share)));
         }
-        let square = |k: usize| -> Vec<f64> {
-            let residual: Vec<f64> = o.values.iter().zip(self.contenders[k].reading()).map(|(y, m)| y - m).collect();
-            let white = self.study.whitener.apply(&residual);
-            o.units.iter().map(|u| dot(&white[o.span(u)], &white[o.span(u)])).collect()
-        };
         // A law's reading is not that of its fit, and conditions are enough to say who carries it.
         if self.entries[row].role == Role::Law {
             return None;
         }
-        let parts: Vec<f64> = square(reference).iter().zip(square(row)).map(|(before, after)| before - after).collect();
+        let [before, after] = [reference, row].map(|k| self.densities(k));
+        let parts: Vec<f64> = after.iter().zip(before).map(|(after, before)| after - before).collect();
         let (most, share) = share(&parts)?;
         Some(format!("trial {} alone carries {} % of the evidence", o.units[most].id, digits(100.0 * share)))
+    }
+
+    /// The log density of each trial at the fit of row `k`, as in [`super::evidence`]: Student's t, scaled to the errors of the model
+    /// in other conditions. So a trial that no model describes is not the evidence for one of them.
+    fn densities(&self, k: usize) -> Vec<f64> {
+        let (o, degrees) = (self.study.observations, self.table.degrees);
+        let residual: Vec<f64> = o.values.iter().zip(self.contenders[k].reading()).map(|(y, m)| y - m).collect();
+        let white = self.study.whitener.apply(&residual);
+        let density = |u: &Unit| {
+            let (own, scale) = (&white[o.span(u)], self.table.rows[k].scales[u.condition]);
+            let n = own.len() as f64;
+            -0.5 * (n * scale.ln() + (degrees + n) * (dot(own, own) / (degrees * scale)).ln_1p())
+        };
+        o.units.iter().map(density).collect()
     }
 }

@@ -218,7 +218,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
     if let Some(row) = leading_law(entries) {
         let (nested, assessment, failed) = test(row);
         tested.law = Some((row, failed.is_empty()));
-        tested.refuted = (assessment.impossible || !nested.is_certain()).then_some(row);
+        tested.refuted = (assessment.impossible || !nested.is_certain(false)).then_some(row);
         results.push((row, nested, assessment));
         if !failed.is_empty() {
             withheld.push((row, failed));

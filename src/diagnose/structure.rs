@@ -2,6 +2,7 @@
 //! depth, speed or another feature, nor a direction, a shape, or a part of the session.
 
 use super::evidence::EvidenceTable;
+use super::fit::Fit;
 use super::forward::{Feature, ForwardModel};
 use super::left_out::{Contender, LawColumn};
 use super::misfit::ranges;
@@ -9,6 +10,7 @@ use super::observations::Observations;
 use super::split::{divisions, percent};
 use super::study::FitInputs;
 use super::words::span;
+use crate::sand::mechanism::Mechanisms;
 
 /// Number of parts of the session: our choice, enough to show a trend.
 const PARTS: usize = 4;
@@ -42,7 +44,19 @@ fn parts(o: &Observations, model: &dyn ForwardModel) -> Vec<DataPart> {
     all
 }
 
-/// The part of the data whose forces need a factor of their own beside the fit of `base`, in words. The level is that of every comparison: a
+/// The fit of `base` with the sand's strength as one more value.
+fn with_strength(study: &FitInputs, base: &Contender) -> Fit {
+    let own = study.with_nuisances(base.nuisances.to_vec());
+    let mut begun = Fit { slopes: Vec::new(), ..base.fit.clone() };
+    match Mechanisms::index("scale") {
+        Ok(id) if !begun.ids.contains(&id) => begun.ids.push(id),
+        _ => return base.fit.clone(),
+    }
+    own.fit_from(&[&begun]).swap_remove(0)
+}
+
+/// The part of the data whose forces need a factor of their own beside the fit of `base`, in words. Beside it the whole sand has a free
+/// strength, so a part that is nearly all of the data says nothing. The level is that of every comparison: a
 /// model with this factor predicts left-out conditions better beyond twice the standard error (2.3 %, one-sided). The part is chosen
 /// anew with each condition left out, so their number is no advantage. None also if readings are no forces, as those of walking robots,
 /// whose simulations are rough: a factor on them has no meaning.
@@ -50,6 +64,8 @@ pub fn left(study: &FitInputs, base: &Contender) -> Option<String> {
     if study.model.roughness().is_some() {
         return None;
     }
+    let fit = with_strength(study, base);
+    let base = &Contender { fit: &fit, ..*base };
     let o = study.observations;
     let parts = parts(o, study.model);
     let column = |part: &DataPart| -> LawColumn {
