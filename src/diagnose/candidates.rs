@@ -130,7 +130,7 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
         found.around = around.clone();
         found.refit(&renewed);
         found.leading = self::leading(&renewed, &found.base, &found.fits);
-        found.measured = measured::measured(&renewed, &found.base);
+        found.measured = measured::again(&renewed, &found.measured);
     }
     found.stated = plain_fit(&renewed, &found.base);
     found.absent = measured::absent(&renewed, &found.base, &found.measured);

@@ -49,14 +49,16 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     };
     let mut promising: Vec<(usize, f64)> = (0..study.nuisances.len()).filter(open).map(|k| (k, gain(k))).collect();
     // Of equally promising ones, those of all channels or shapes come first. Filters take the place of a long delay, and from there no
-    // derivative shows it, so a delay is always tried.
+    // derivative shows it, so a delay is always tried. Where an effect is at its bound, those of single channels or shapes may
+    // together stand in for one of all of them (two legs that both seem tilted, for the zero of their joint), so these are tried, too.
     let common = |k: usize| study.nuisances[k].of.is_none();
     let late = |k: usize| common(k) && study.nuisances[k].id == "delay";
-    promising.retain(|p| p.1 > WORTH || late(p.0));
+    let bounded = bound(base);
+    promising.retain(|p| p.1 > WORTH || late(p.0) || bounded && common(p.0));
     promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
     // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
-    let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
+    let far = |k: usize| bounded || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
     let certain = |own: &MeasuredFit, index: usize| {
@@ -83,6 +85,14 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
         certain(&best, index).then_some(best)
     });
     made.into_iter().flatten().collect()
+}
+
+/// The same models, fitted from their ends under another noise.
+pub fn again(study: &FitInputs, models: &[MeasuredFit]) -> Vec<MeasuredFit> {
+    parallel::map(models, |own| {
+        let now = study.with_nuisances(own.nuisances.clone());
+        MeasuredFit { fit: now.fit_from(&[&own.fit]).swap_remove(0), nuisances: now.nuisances }
+    })
 }
 
 /// The model of `base` without one effect of measuring, for each of `wide`.

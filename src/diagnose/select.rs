@@ -52,8 +52,12 @@ impl Selection {
     /// The causes of each explanation that the data cannot distinguish, or the formula of a law. If `scale` is among
     /// the causes, mechanisms that the data cannot see may be in its place.
     pub fn explanations(&self) -> Vec<Vec<String>> {
-        let mut all: Vec<Vec<String>> = self.ruling.set.iter().map(|&k| self.named(k)).collect();
-        all.dedup();
+        let mut all: Vec<Vec<String>> = Vec::new();
+        for own in self.ruling.set.iter().map(|&k| self.named(k)) {
+            if !all.contains(&own) {
+                all.push(own);
+            }
+        }
         if self.ruling.set.first().is_some_and(|&k| self.entries[k].unseen) {
             all.extend(self.unseen.iter().map(|&id| vec![CATALOG[id].id.to_owned()]));
         }
