@@ -130,7 +130,7 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
         found.around = around.clone();
         found.refit(&renewed);
         found.leading = self::leading(&renewed, &found.base, &found.fits);
-        found.measured = measured::again(&renewed, &found.measured);
+        found.measured = measured::again(&renewed, &found.base, &found.measured);
     }
     found.stated = plain_fit(&renewed, &found.base);
     found.absent = measured::absent(&renewed, &found.base, &found.measured);
@@ -215,17 +215,28 @@ impl Candidates {
         }
     }
 
-    /// Noise about the effect of measuring that fits best, if this fits far better than the leading candidate: where a model is wrong by
-    /// much more than noise, the noise about it is wrong, too. None for a rough model, which would take many simulations.
-    fn about_measured(&self, study: &FitInputs, asked: &SearchSpace) -> Option<Surroundings> {
+    /// Noise and nuisances about the effect of measuring that fits best, if this fits far better than the leading candidate: where a
+    /// model is wrong by much more than noise, the noise about it is wrong, too. The same if the base contains its state, and so has
+    /// ended in a local minimum. None for a rough model, which would take many simulations.
+    fn about_measured(&mut self, study: &FitInputs, asked: &SearchSpace) -> Option<Surroundings> {
         let best = self.measured.iter().min_by(|a, b| a.fit.objective.total_cmp(&b.fit.objective))?;
-        let better = best.fit.objective < FAR_BETTER * self.best().objective;
-        (better && study.model.roughness().is_none()).then(|| {
-            let own = study.with_nuisances(best.nuisances.clone());
-            let (noise, sizes, whitener) = noise_about(&own, asked, &best.fit);
-            let nuisances = bent(study, &whitener, &self.base);
-            Surroundings { noise, sizes, whitener, nuisances }
-        })
+        let far_better = best.fit.objective < FAR_BETTER * self.best().objective;
+        let stuck = best.within_stated().is_some_and(|objective| objective < self.base.objective);
+        if study.model.roughness().is_some() || !(far_better || stuck) {
+            return None;
+        }
+        let own = study.with_nuisances(best.nuisances.clone());
+        let (noise, sizes, whitener) = noise_about(&own, asked, &best.fit);
+        let starts = {
+            let near = study.under(&whitener, bent(study, &whitener, &self.base));
+            let (nuisances, from) = best.as_stated();
+            let other = measured::adjusted(study.under(&whitener, nuisances), &self.base, &from, f64::INFINITY);
+            [MeasuredFit { fit: near.fit_from(&[&self.base]).swap_remove(0), nuisances: near.nuisances }, other]
+        };
+        let lower = |a: &MeasuredFit, b: &MeasuredFit| a.fit.objective.total_cmp(&b.fit.objective);
+        let MeasuredFit { fit, nuisances } = starts.into_iter().min_by(lower)?;
+        self.base = fit;
+        Some(Surroundings { noise, sizes, whitener, nuisances })
     }
 
     /// Repeats all fits, each from its end state.

@@ -32,6 +32,29 @@ pub struct MeasuredFit {
     pub nuisances: Vec<Nuisance>,
 }
 
+impl MeasuredFit {
+    /// Place of the effect with a wide prior.
+    fn wide(&self) -> usize {
+        self.nuisances.iter().position(|n| n.sd > n.stated_sd).unwrap_or(0)
+    }
+
+    /// The nuisances with their stated priors, and the fit in these, within their bounds.
+    pub fn as_stated(&self) -> (Vec<Nuisance>, Fit) {
+        let (index, mut nuisances) = (self.wide(), self.nuisances.clone());
+        nuisances[index] = nuisances[index].with_prior(nuisances[index].stated_sd);
+        let mut from = Fit { slopes: Vec::new(), ..self.fit.clone() };
+        let d = &mut from.deviations[COEFFICIENTS + index];
+        *d = (*d * WIDE).clamp(-MOST_DEVIATION, MOST_DEVIATION);
+        (nuisances, from)
+    }
+
+    /// The objective of the same state under the stated priors; None if it is outside of their bounds.
+    pub fn within_stated(&self) -> Option<f64> {
+        let d = self.fit.deviations[COEFFICIENTS + self.wide()];
+        ((d * WIDE).abs() <= MOST_DEVIATION).then(|| self.fit.objective + d * d * (WIDE * WIDE - 1.0))
+    }
+}
+
 /// Fits of the model of `base` with a wide prior for each effect of measuring that promises something.
 pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     let covariance = study.covariance(base);
@@ -87,18 +110,15 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     made.into_iter().flatten().collect()
 }
 
-/// The same models, fitted from their ends under another noise.
-pub fn again(study: &FitInputs, models: &[MeasuredFit]) -> Vec<MeasuredFit> {
-    parallel::map(models, |own| {
-        let now = study.with_nuisances(own.nuisances.clone());
-        MeasuredFit { fit: now.fit_from(&[&own.fit]).swap_remove(0), nuisances: now.nuisances }
-    })
+/// The same models beside `base`, fitted from their ends under another noise.
+pub fn again(study: &FitInputs, base: &Fit, models: &[MeasuredFit]) -> Vec<MeasuredFit> {
+    parallel::map(models, |own| adjusted(study.with_nuisances(own.nuisances.clone()), base, &own.fit, f64::INFINITY))
 }
 
 /// The model of `base` without one effect of measuring, for each of `wide`.
 pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<MeasuredFit> {
     let of = |own: &MeasuredFit| {
-        let index = own.nuisances.iter().position(|n| n.sd > n.stated_sd).unwrap_or(0);
+        let index = own.wide();
         let mut nuisances = study.nuisances.clone();
         nuisances[index] = nuisances[index].with_prior(0.0);
         let now = study.with_nuisances(nuisances);
@@ -119,9 +139,13 @@ fn widened(
     best: f64,
 ) -> MeasuredFit {
     nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
-    let now = study.with_nuisances(nuisances);
-    let at = now.fit_from(&[&from]).swap_remove(0);
-    let (nuisances, at) = settled_nuisances(now, base, at, best);
+    adjusted(study.with_nuisances(nuisances), base, &from, best)
+}
+
+/// A fit from `from`, with the nuisances linearised at its end; abandoned if it is unlikely to reach the objective `best`.
+pub fn adjusted(study: FitInputs, base: &Fit, from: &Fit, best: f64) -> MeasuredFit {
+    let at = study.fit_from(&[from]).swap_remove(0);
+    let (nuisances, at) = settled_nuisances(study.with_nuisances(study.nuisances.clone()), base, at, best);
     let last = study.with_nuisances(nuisances);
     let fit = last.fit_from(&[&at]).swap_remove(0);
     MeasuredFit { fit, nuisances: last.nuisances }
