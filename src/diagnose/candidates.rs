@@ -27,6 +27,8 @@ const FINALISTS: usize = 8;
 /// An effect of measuring gives the noise if its objective is less than this share of the leading candidate's: our choice; the noise
 /// hardly changes for less.
 const FAR_BETTER: f64 = 0.9;
+/// A minimum is another one if its objective is less by this: our choice, far above that at which fits end.
+const BELOW: f64 = 1.0;
 /// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first
 /// cause may only describe a small error in the law of the first cause.
 pub const SECOND: f64 = 0.01;
@@ -123,14 +125,15 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     let mut renewed = around.about(study);
     found.leading = self::leading(&renewed, &found.base, &found.fits);
     found.measured = measured::measured(&renewed, &found.base);
-    if let Some(next) = found.about_measured(&renewed, asked) {
+    for round in 0..NOISES {
+        let Some(next) = found.about_measured(&renewed, asked, round == 0) else { break };
         drop(renewed);
         around = next;
         renewed = around.about(study);
         found.around = around.clone();
         found.refit(&renewed);
         found.leading = self::leading(&renewed, &found.base, &found.fits);
-        found.measured = measured::again(&renewed, &found.base, &found.measured);
+        found.measured = measured::again(&renewed, &found.measured);
     }
     found.stated = plain_fit(&renewed, &found.base);
     found.absent = measured::absent(&renewed, &found.base, &found.measured);
@@ -215,26 +218,26 @@ impl Candidates {
         }
     }
 
-    /// Noise and nuisances about the effect of measuring that fits best, if this fits far better than the leading candidate: where a
-    /// model is wrong by much more than noise, the noise about it is wrong, too. The same if the base contains its state, and so has
-    /// ended in a local minimum. None for a rough model, which would take many simulations.
-    fn about_measured(&mut self, study: &FitInputs, asked: &SearchSpace) -> Option<Surroundings> {
+    /// Noise and nuisances about an effect of measuring, with the base begun there. If the best one fits far better than the leading
+    /// candidate, the noise is learnt about it: where a model is wrong by much more than noise, the noise about it is wrong, too. If one
+    /// has a state of the base with a lower objective, the base has ended in a local minimum. None if neither is the case, and for a
+    /// rough model, which would take many simulations.
+    fn about_measured(&mut self, study: &FitInputs, asked: &SearchSpace, may_be_far: bool) -> Option<Surroundings> {
         let best = self.measured.iter().min_by(|a, b| a.fit.objective.total_cmp(&b.fit.objective))?;
-        let far_better = best.fit.objective < FAR_BETTER * self.best().objective;
-        let stuck = best.within_stated().is_some_and(|objective| objective < self.base.objective);
-        if study.model.roughness().is_some() || !(far_better || stuck) {
+        let far = may_be_far && best.fit.objective < FAR_BETTER * self.best().objective;
+        let inside = self.measured.iter().filter_map(|own| own.within_stated().map(|objective| (objective, own)));
+        let inside = inside.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|own| own.0 < self.base.objective - BELOW);
+        let start = inside.map_or(best, |own| own.1);
+        if study.model.roughness().is_some() || !(far || inside.is_some()) {
             return None;
         }
-        let own = study.with_nuisances(best.nuisances.clone());
-        let (noise, sizes, whitener) = noise_about(&own, asked, &best.fit);
-        let starts = {
-            let near = study.under(&whitener, bent(study, &whitener, &self.base));
-            let (nuisances, from) = best.as_stated();
-            let other = measured::adjusted(study.under(&whitener, nuisances), &self.base, &from, f64::INFINITY);
-            [MeasuredFit { fit: near.fit_from(&[&self.base]).swap_remove(0), nuisances: near.nuisances }, other]
+        let (noise, sizes, whitener) = match far {
+            true => noise_about(&study.with_nuisances(best.nuisances.clone()), asked, &best.fit),
+            false => (self.around.noise.clone(), self.around.sizes.clone(), self.around.whitener.clone()),
         };
-        let lower = |a: &MeasuredFit, b: &MeasuredFit| a.fit.objective.total_cmp(&b.fit.objective);
-        let MeasuredFit { fit, nuisances } = starts.into_iter().min_by(lower)?;
+        let (nuisances, from) = start.as_stated();
+        let MeasuredFit { fit, nuisances } =
+            measured::adjusted(study.under(&whitener, nuisances), &start.fit, &from, f64::INFINITY);
         self.base = fit;
         Some(Surroundings { noise, sizes, whitener, nuisances })
     }

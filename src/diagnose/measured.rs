@@ -110,9 +110,11 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     made.into_iter().flatten().collect()
 }
 
-/// The same models beside `base`, fitted from their ends under another noise.
-pub fn again(study: &FitInputs, base: &Fit, models: &[MeasuredFit]) -> Vec<MeasuredFit> {
-    parallel::map(models, |own| adjusted(study.with_nuisances(own.nuisances.clone()), base, &own.fit, f64::INFINITY))
+/// The same models, fitted from their ends under another noise.
+pub fn again(study: &FitInputs, models: &[MeasuredFit]) -> Vec<MeasuredFit> {
+    let adjust =
+        |own: &MeasuredFit| adjusted(study.with_nuisances(own.nuisances.clone()), &own.fit, &own.fit, f64::INFINITY);
+    parallel::map(models, adjust)
 }
 
 /// The model of `base` without one effect of measuring, for each of `wide`.
