@@ -2,6 +2,7 @@
 
 use super::{IntruderPlate, PlatedBody};
 use crate::error::{Error, Result, check_range};
+use crate::mechanism_laws::SlidingFace;
 use crate::number::Vec3;
 use crate::{Regularization, SandBed, SandDescription, SegmentState, Term};
 
@@ -115,7 +116,7 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     Ok(())
 }
 
-/// The force on one plate: growing · D(depth) + constant, where D is the depth or a power of it.
+/// The force on one plate: growing · D(depth) + constant + resting · depth, where D is the depth or a power of it.
 struct DepthForce {
     /// Height of the centre above the body's origin [m], and half the plate's vertical extent.
     height: f64,
@@ -123,6 +124,22 @@ struct DepthForce {
     arm: Vec3<f64>,
     growing: Vec3<f64>,
     constant: Vec3<f64>,
+    /// 0 unless `sliding_face` is on.
+    resting: Vec3<f64>,
+}
+
+/// The part of a plate that leads, and how it moves.
+struct LeadingPart {
+    normal: Vec3<f64>,
+    /// Velocity of the plate's centre [m/s].
+    v: Vec3<f64>,
+    speed: f64,
+    /// n·v at the centre, its largest difference at the edges, and its mean over the part that leads [m/s].
+    along: f64,
+    uneven: f64,
+    toward: f64,
+    /// The share of the plate's force that counts.
+    share: f64,
 }
 
 /// Plates are first prepared up to the first share of the body's height. If this part carries the load, the plates
@@ -221,10 +238,13 @@ impl<'a> MovingPlates<'a> {
 
     /// Force and torque when the sand's surface is at `surface` [m] above the origin.
     fn load(&self, surface: f64) -> [Vec3<f64>; 2] {
-        let mut sum = [Vec3::zero(), Vec3::zero()];
+        let (mut sum, rests) = ([Vec3::zero(), Vec3::zero()], self.ground.sliding().is_some());
         for piece in self.pieces.iter().take_while(|p| p.height - p.rise < surface) {
             let (depth, share) = piece.submerged(surface - piece.height);
-            let force = piece.growing.scale_add(self.ground.grown(depth) * share, piece.constant * share);
+            let mut force = piece.growing.scale_add(self.ground.grown(depth) * share, piece.constant * share);
+            if rests {
+                force += piece.resting * (depth * share);
+            }
             sum = [sum[0] + force, sum[1] + piece.arm.cross(force)];
         }
         sum.map(|v| v * self.share)
@@ -247,11 +267,10 @@ impl<'a> MovingPlates<'a> {
     }
 }
 
-impl DepthForce {
-    /// The force on the leading part of a plate; None if no part leads. If the leading edge crosses the plate, the
-    /// force is proportional to the leading share.
-    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial, plain: bool) -> Option<Self> {
-        let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
+impl LeadingPart {
+    /// None if the plate is at rest. If the leading edge crosses the plate, the force is proportional to the leading
+    /// share. With `sliding_face` it also rises over the mechanism's range of n·v̂.
+    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, velocity: Vec3<f64>, spin: Vec3<f64>) -> Option<Self> {
         let v = velocity + spin.cross(plate.center);
         let speed = v.norm_squared().sqrt();
         if speed == 0.0 {
@@ -263,18 +282,45 @@ impl DepthForce {
         let n = plate.normal;
         let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
         let (along, uneven) = (normal.dot(v), plate.unevenness(v, spin));
-        let leading =
-            if uneven > least { (0.5 + 0.5 * along / uneven).clamp(0.0, 1.0) } else { f64::from(along >= -least) };
-        if leading == 0.0 {
-            return None;
+        if let Some(face) = ground.sliding() {
+            let share = ((along + uneven) / (2.0 * uneven + face.range(0.0) * speed)).clamp(0.0, 1.0);
+            let toward = along.max((along + uneven) / 2.0).max(least);
+            return Some(Self { normal, v, speed, along, uneven, toward, share });
         }
+        let share =
+            if uneven > least { (0.5 + 0.5 * along / uneven).clamp(0.0, 1.0) } else { f64::from(along >= -least) };
         // If the leading edge crosses the plate, n·v of the leading part ranges from 0 to `along + uneven`, so its mean
         // is half of this. A plate that moves along itself is also pushed, not pulled.
-        let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
-        let v = normal.scale_add(toward - along, v);
+        let toward = if share < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
+        Some(Self { normal, v, speed, along, uneven, toward, share })
+    }
+
+    /// The force [N/m] for each metre of depth of the sand at rest, if `sliding_face` is on.
+    fn resting(&self, ground: &SandBed<f64>, area: f64) -> Vec3<f64> {
+        let Some(face) = ground.sliding() else { return Vec3::zero() };
+        let load = face.resting(self.along / self.speed, self.uneven / self.speed).share * area;
+        if load == 0.0 {
+            return Vec3::zero();
+        }
+        let load = load * SlidingFace::pressure(self.normal.z);
+        face.force(self.normal * load, load, self.v * (1.0 / self.speed), 1.0)
+    }
+}
+
+impl DepthForce {
+    /// The force on the leading part of a plate; None if there is none.
+    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial, plain: bool) -> Option<Self> {
+        let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
+        let part = LeadingPart::of(ground, plate, velocity, spin)?;
+        let resting = part.resting(ground, plate.area);
+        if part.share == 0.0 {
+            let none = Vec3::zero();
+            return (resting.norm_squared() > 0.0).then(|| Self::over(plate, [none, none, resting]));
+        }
+        let v = part.normal.scale_add(part.toward - part.along, part.v);
         let at = |depth| {
             let site = SegmentState::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
-            ground.thin_plate(&site, plate.area * leading, normal, v).force
+            ground.thin_plate(&site, plate.area * part.share, part.normal, v).force
         };
         let less = ground.grown(PROBES[0]);
         let near = at(PROBES[0]);
@@ -283,7 +329,11 @@ impl DepthForce {
             false => (at(PROBES[1]) - near) * (1.0 / (ground.grown(PROBES[1]) - less)),
         };
         let constant = if plain { Vec3::zero() } else { near - growing * less };
-        Some(Self { height: plate.center.z, rise: plate.rise(), arm: plate.center, growing, constant })
+        Some(Self::over(plate, [growing, constant, resting]))
+    }
+
+    fn over(plate: &IntruderPlate, [growing, constant, resting]: [Vec3<f64>; 3]) -> Self {
+        Self { height: plate.center.z, rise: plate.rise(), arm: plate.center, growing, constant, resting }
     }
 
     /// Mean depth of the part in the sand and its share of the plate, for a centre at `depth`.
