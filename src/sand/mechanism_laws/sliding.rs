@@ -102,3 +102,6 @@ impl<R: Real> SlidingFace<R> {
         unit.scale_add(load * self.friction, normal * moving) * -self.weight
     }
 }
+
+#[cfg(test)]
+mod tests;
