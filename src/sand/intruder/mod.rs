@@ -8,6 +8,7 @@ mod body;
 pub mod cut;
 mod gather;
 mod mesh;
+mod passing;
 pub mod path;
 mod trials;
 

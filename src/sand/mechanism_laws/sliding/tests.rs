@@ -1,6 +1,7 @@
 //! Faces that slide along themselves: laws that hold for any motion, and bodies in simulated grains (`tests/data/drag`).
 
 use super::*;
+use crate::intruder::path::{Path, PathPoint};
 use crate::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute};
 use crate::mechanism_laws::SegmentState;
 use crate::number::Portable;
@@ -222,6 +223,54 @@ fn windows_of_the_grains_hold_as_measured() {
             let found = (each.iter().map(|e| e * e).sum::<f64>() / 50.0).sqrt();
             println!("{} ζ {zeta} κ {}: {hold} of 50, rms {found:.1} %", law.name(), mechanisms.sliding_face);
             assert!(hold + 2 >= count && found < rms + 2.0, "{} {zeta}: {hold} {found}", law.name());
+        }
+    }
+}
+
+/// The same courses as paths in sand with memory, from the press on.
+fn errors_on_paths(sand: &SandDescription, grains: Option<f64>) -> Vec<[[f64; 5]; 2]> {
+    let course = |(shape, text, depth): &(&str, &str, Option<f64>)| {
+        let (b, rows) = (body(shape, 0.002), rows(text, *depth));
+        let (sin, cos) = if depth.is_some() { (0.0, 1.0) } else { f64::sin_cos(0.1) };
+        let mut path = Path::new(&b, sand, None, None).unwrap();
+        if let Some(diameter) = grains {
+            path = path.in_grains(diameter).unwrap();
+        }
+        let mut to = |time: f64, x: f64, [vx, vz]: [f64; 2], depth: f64| {
+            let trial = Trial { velocity: [vx, 0.0, vz], spin: [0.0; 3], given: DepthOrLoad::Depth(depth) };
+            let [x, _, z] = path.step(&PathPoint { time, place: Some([x, 0.0]), trial }).force;
+            [x, z]
+        };
+        let first = rows[0][0];
+        to(-1.0, 0.0, [0.0, -0.1], -0.002);
+        to(0.0, 0.0, [0.0, -0.1], first);
+        let ours: Vec<_> = (0..50)
+            .map(|k| {
+                let way = 1e-3 * (f64::from(k) + 0.5);
+                to(10.0 * way / cos, way, [0.1 * cos, -0.1 * sin], rows[k as usize][0])
+            })
+            .collect();
+        let (ours, grains) = (tens(&ours), tens(&rows.iter().map(|r| [r[1], r[2]]).collect::<Vec<_>>()));
+        [0, 1].map(|c| {
+            let largest = grains[c].iter().fold(0.0_f64, |a, x| a.max(x.abs()));
+            std::array::from_fn(|k| 100.0 * (ours[c][k] - grains[c][k]) / largest)
+        })
+    };
+    COURSES.iter().map(course).collect()
+}
+
+#[test]
+fn paths() {
+    for (law, zeta) in [(Law::Li2013, 0.33), (Law::Li2013, 0.46), (Law::Agarwal2023, 0.33), (Law::Agarwal2023, 0.46)] {
+        let medium = Medium { bulk_density: 1467.0, ..Medium::generic(zeta).unwrap() };
+        for (kappa, grains) in [(0.0, None), (KAPPA, None), (KAPPA, Some(0.004))] {
+            let mechanisms = sliding(kappa);
+            let all = errors_on_paths(&SandDescription { law, mechanisms, ..SandDescription::plain(&medium) }, grains);
+            all.iter().for_each(|e| println!("   Fx {:5.0?} Fz {:5.0?}", e[0], e[1]));
+            let each: Vec<f64> = all.into_iter().flatten().flatten().collect();
+            let hold = each.iter().filter(|e| e.abs() <= 20.0).count();
+            let found = (each.iter().map(|e| e * e).sum::<f64>() / 50.0).sqrt();
+            println!("{} ζ {zeta} κ {kappa} {grains:?}: {hold} of 50, rms {found:.1} %", law.name());
         }
     }
 }
