@@ -5,6 +5,8 @@
 //! below the surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
+#[cfg(test)]
+mod courses;
 pub mod cut;
 mod gather;
 mod mesh;

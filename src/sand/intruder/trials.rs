@@ -200,7 +200,7 @@ pub(super) fn compute_with(body: &PlatedBody, sand: &SandDescription, trial: &Tr
     TrialOutcome { force, torque, depth, status: Status::Ok }
 }
 
-fn bed(sand: &SandDescription) -> SandBed<f64> {
+pub(super) fn bed(sand: &SandDescription) -> SandBed<f64> {
     let medium = sand.medium();
     SandBed::new(sand.law, &medium, &Regularization::BARE).with(&sand.mechanisms, &medium)
 }
