@@ -5,8 +5,6 @@
 //! below the surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
-#[cfg(test)]
-mod courses;
 pub mod cut;
 mod gather;
 mod mesh;
@@ -58,3 +56,6 @@ pub fn volume(plates: &[IntruderPlate]) -> f64 {
 pub fn area(plates: &[IntruderPlate]) -> f64 {
     plates.iter().map(|p| p.area).sum()
 }
+
+#[cfg(test)]
+mod courses;
