@@ -97,6 +97,7 @@ def intrude(
     repose_deg: float | None = None,
     cell: float | None = None,
     surface: FilePath | None = None,
+    grain_size: float | None = None,
     address: str | None = None,
     progress: ProgressOption = True,
 ) -> Any:
@@ -133,6 +134,7 @@ def intrude(
     `repose_deg`: Angle of repose of the sand [°]; default: 25 for glass beads, 28 for other media.
     `cell`: Side of a cell of the surface [m]; default: a tenth of the body's longest horizontal side.
     `surface`: File for the surface after each trial: trial, x, y and height of the cells that were moved (CSV).
+    `grain_size`: Diameter of the grains [m], for the passing part of sliding_face.
     `address`: a running server that computes the study; by default this process computes it. `progress`: shows the
     progress, or a function that gets it. Ctrl-C stops the study.
     """
@@ -153,6 +155,7 @@ def intrude(
     call.value("--repose-deg", "repose_deg", repose_deg)
     call.value("--cell", "cell", cell)
     call.output("--surface", "surface", surface)
+    call.value("--grain-size", "grain_size", grain_size)
     result: Any = call.run(address, progress)
     return result
 

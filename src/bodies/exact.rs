@@ -21,7 +21,8 @@
 
 use super::part::BodyPlate;
 use crate::number::{Real, Vec3};
-use crate::sand::{SandBed, SegmentState};
+use crate::sand::mechanism_laws::SlidingFace;
+use crate::sand::{Contact, SandBed, SegmentState};
 use crate::sim::blocks::LinkFrame;
 use crate::sim::spatial::Twist;
 use crate::sim::tree::sand::Total;
@@ -120,15 +121,26 @@ impl<R: Real> PlateScene<'_, R> {
             let turning = normal.dot(self.velocity.angular.cross(sides[k]));
             sum + sides[k].dot(v).mul_add(R::splat(plate.bend[k]), turning).abs()
         });
-        // The leading share of the plate rises from 0 at n·v = −`before` to 1 at n·v = `after`.
-        let range = self.gate / self.bed.inverse_speed(v);
-        let bent = plate.bend != [0.0; 2];
+        // The leading share of the plate rises from 0 at n·v = −`before` to 1 at n·v = `after`. With `sliding_face` it
+        // rises later by the mechanism's range.
+        let sliding = self.bed.sliding();
+        let gate = sliding.map_or(self.gate, |face| face.range(self.gate));
+        let range = gate / self.bed.inverse_speed(v);
+        let bent = plate.bend != [0.0; 2] && sliding.is_none();
         let before = if bent { uneven.max(range * half) } else { uneven };
         let after = if bent { before } else { uneven + range };
         let growth = one / (before + after);
         let leads = ((along + before) * growth).clamp(zero, one);
+        let resting = self.resting(mean * area, normal, v, uneven);
         if !R::any(zero.lt(leads)) {
-            return None;
+            return resting.map(|Contact { force, drag, edge }| PlateForce {
+                force,
+                drag,
+                edge: edge.max(zero),
+                at,
+                normal,
+                v,
+            });
         }
         // If only a part of the plate leads, n·v ranges from 0 to `along + uneven` in this part, so its mean is half of
         // `along + uneven`.
@@ -136,7 +148,25 @@ impl<R: Real> PlateScene<'_, R> {
         let (full, drag) = self.law(&site, area, normal, normal.scale_add(toward - along, v), v);
         let rising = (-full.dot(normal)).max(zero) * growth;
         let edge = R::select(zero.lt(leads), R::select(leads.lt(one), rising, zero), zero);
-        Some(PlateForce { force: full * leads, drag: drag * leads, edge, at, normal, v })
+        let mut pushed = PlateForce { force: full * leads, drag: drag * leads, edge, at, normal, v };
+        if let Some(resting) = resting {
+            pushed.force += resting.force;
+            pushed.drag += resting.drag;
+            pushed.edge = (edge + resting.edge).max(zero);
+        }
+        Some(pushed)
+    }
+
+    /// The force of sand at rest on a plate with `load` = area times depth [m³] that slides along itself; None unless
+    /// `sliding_face` is on and acts.
+    #[inline(always)]
+    fn resting(&self, load: R, normal: Vec3<R>, v: Vec3<R>, uneven: R) -> Option<Contact<R>> {
+        let face = self.bed.sliding()?;
+        let inverse_speed = self.bed.inverse_speed(v);
+        let at = face.resting(normal.dot(v) * inverse_speed, uneven * inverse_speed);
+        let load = load * SlidingFace::pressure(normal.dot(self.under.normal));
+        let share = load * at.share;
+        R::any(R::zero().lt(share)).then(|| self.bed.resting(face, normal * share, share, load * at.slope, v))
     }
 
     /// The law's force on a plate that moves with `v`, in the world's axes, and its drag −f·u/u² against the plate's

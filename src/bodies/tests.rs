@@ -3,7 +3,7 @@
 use super::*;
 use crate::number::Vec3;
 use crate::sand::intruder::{BodyShape, DepthOrLoad, PlatedBody, Trial, compute};
-use crate::sand::{Law, Regularization, SandBed, SandDescription};
+use crate::sand::{Law, Mechanisms, Regularization, SandBed, SandDescription};
 use crate::sim::blocks::{LinkFrame, turned_by};
 use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::LinkLoad;
@@ -129,6 +129,36 @@ fn plates_of_a_given_size_are_those_of_intrude() {
                 for (a, b) in found[6 * k..6 * k + 6].iter().zip(&expected) {
                     // The force of plates that move almost along themselves rises over the gate.
                     assert!((a - b).abs() <= 2e-3 * size, "{law:?} {shape}: {found:?} {expected:?}");
+                }
+            }
+        }
+    }
+}
+
+/// The same with `sliding_face`, for bodies that are drawn level, so that flat faces slide along themselves; and default
+/// plates give the force of fine ones.
+#[test]
+fn faces_slide_along_themselves_as_in_intrude() {
+    let mut draw = numbers(4);
+    for law in [Law::Li2013, Law::Agarwal2023] {
+        let plain = sand(law).description().clone();
+        let mechanisms = Mechanisms { sliding_face: 0.03, ..plain.mechanisms };
+        let on = SandDescription { mechanisms, ..plain };
+        let options = GroundOptions { rest_speed: Regularization::SOLID.rest_speed, ..Default::default() };
+        let sand = SandGround::new(on.clone(), options).unwrap();
+        for _ in 0..10 {
+            let v = [0.3, 0.005 * draw(), 0.005 * draw()];
+            let depth = 0.01 * draw();
+            let found = [Some(SIZE), None]
+                .map(|size| wrenches(&bodies(size), &sand, [0.3, -0.2, -depth], [1.0, 0.0, 0.0, 0.0], v, [0.0; 3]));
+            for (k, shape) in SHAPES.iter().enumerate() {
+                let body = PlatedBody::cut(&BodyShape::named(shape).unwrap(), Some(SIZE)).unwrap();
+                let given = DepthOrLoad::Depth(depth - body.heights()[0]);
+                let expected = compute(&body, &on, &Trial { velocity: v, spin: [0.0; 3], given }).force;
+                let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+                for (found, within) in found.iter().zip([2e-3, 0.05]) {
+                    let off = (0..3).map(|i| (found[6 * k + i] - expected[i]).abs()).fold(0.0, f64::max);
+                    assert!(off <= within * size, "{law:?} {shape} {v:?}: {:?} {expected:?}", &found[6 * k..6 * k + 3]);
                 }
             }
         }

@@ -193,7 +193,9 @@ impl ForwardModel for IntruderModel<'_> {
     fn testable(&self) -> Testable {
         let mechanisms = Mechanisms::from_values([1.0; Mechanisms::COUNT]);
         let all = SandDescription { mechanisms, ..SandDescription::plain(self.medium()) };
-        let sand = CATALOG.iter().enumerate().filter(|(_, m)| m.side == Side::Sand);
+        // `sliding_face` is left out: a fit needs a force that is smooth in the strength, but as κ goes to 0 a face that
+        // moves along itself loses its force, while with κ = 0 it has all of it.
+        let sand = CATALOG.iter().enumerate().filter(|(_, m)| m.side == Side::Sand && m.id != "sliding_face");
         sand.map(|(index, m)| (index, lacking(&all, m.id))).collect()
     }
 

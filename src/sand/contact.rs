@@ -5,7 +5,7 @@
 
 use super::law::{Law, Motion, Normals, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
 use super::mechanism::Mechanisms;
-use super::mechanism_laws::{Plain, SandMechanisms, SegmentState, StressModel};
+use super::mechanism_laws::{Plain, SandMechanisms, SegmentState, SlidingFace, StressModel};
 use super::media::Medium;
 use crate::number::{Real, Vec3};
 use serde::{Deserialize, Serialize};
@@ -237,12 +237,37 @@ impl<R: Real> SandBed<R> {
     ) -> Contact<R> {
         let motion = self.motion(v);
         let full = stress_model.force(law.stress(n, &motion), n, v, site, area);
-        let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
-        let gate = leading.clamp(R::zero(), R::one());
+        let along = n.dot(v) * motion.inverse_speed;
+        let sliding = stress_model.sliding();
+        let inverse_gate = sliding.map_or(self.inverse_gate, |face| face.inverse_range(self.inverse_gate));
+        let gate = (along * inverse_gate).clamp(R::zero(), R::one());
         let force = full * gate;
-        let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * self.inverse_gate;
+        let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * inverse_gate;
         let inside = R::select(R::zero().lt(gate), R::select(gate.lt(R::one()), rising, R::zero()), R::zero());
-        Contact { force, drag: secant(force, &motion), edge: inside }
+        let Some(face) = sliding else {
+            return Contact { force, drag: secant(force, &motion), edge: inside };
+        };
+        let resting = face.resting(along, R::zero());
+        let load = site.depth.max(R::zero()) * area * SlidingFace::pressure(n.z);
+        let still = self.resting(face, n * (load * resting.share), load * resting.share, load * resting.slope, v);
+        let force = force + still.force;
+        Contact { force, drag: secant(force, &motion), edge: (inside + still.edge).max(R::zero()) }
+    }
+
+    /// `sliding_face`, if at least one lane has it.
+    #[inline(always)]
+    pub fn sliding(&self) -> Option<&SlidingFace<R>> {
+        self.mechanisms.as_ref().and_then(StressModel::sliding)
+    }
+
+    /// The force of sand at rest on faces that slide along themselves; for `normal` and `load` see
+    /// [`SlidingFace::force`]. `slope`: the derivative of `load` with respect to n·v̂ [m³]; the edge has its sign.
+    #[inline(always)]
+    pub fn resting(&self, face: &SlidingFace<R>, normal: Vec3<R>, load: R, slope: R, v: Vec3<R>) -> Contact<R> {
+        let motion = self.motion(v);
+        let force = face.force(normal, load, v * motion.inverse_speed, motion.moving);
+        let edge = face.weight * slope * motion.inverse_speed * motion.moving;
+        Contact { force, drag: secant(force, &motion), edge }
     }
 
     /// Force on the leading part of a curved face. `area`: area of this part [m²]; `loaded`: its mean depth, weighted

@@ -181,6 +181,8 @@ mechanisms! {
         "stress × (1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|)), n_h the horizontal part of the normal, V̂ the direction in which the body travels", "a steep face that travels along itself displaces little sand, and the face before it has already moved that sand; form ours, for wheels measured at Carnegie Mellon";
     slip_bearing: "c_b", "1", [0.0, 3.0], 0.9, Sand, intrusion false, walking false, [],
         "extra stress per depth −c_b (1 − μ)^1.5 ζ s (−m_z) m on the leading side m where a segment runs backward under its body (s > 0); μ from friction_clip", "Vesic 1973: bearing capacity under an inclined load, square footing; Li, Zhang & Goldman 2013 measured 0.375 ζ for a plate drawn along itself";
+    sliding_face: "κ", "1", [0.0, 0.09], 0.03, Sand, intrusion false, walking false, [],
+        "stress per depth of a solid body's face = clamp(s/κ, 0, 1) × law − max(1 − |s|/κ, 0) ρ g (n_z² + K0 (1 − n_z²)) (n + μ v̂), s = n·v̂, μ of friction_clip or 0.4", "geostatic stress, K0 = 0.5 (Jaky 1944), Coulomb friction and passive failure are textbook; the threshold κ and its value are ours, from simulated grains of 4 mm";
     bias_x: "b_x", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],
         "constant offset of Fx", "force sensor zero";
     bias_z: "b_z", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],

@@ -3,10 +3,14 @@
 //! With a strength of 0, the stress is bit-identical to that of plain theory. So a lane without a mechanism gives the
 //! same results beside lanes that have the mechanism.
 
+mod sliding;
+
 use super::functions::{log_one_plus, tanh};
 use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
+
+pub use sliding::{RestingShare, SlidingFace};
 
 /// Depth z0 [m] at which `depth_power` does not change the stress: our choice; another z0 has the effect of `scale`.
 pub const DEPTH_REFERENCE: f64 = 0.02;
@@ -87,6 +91,13 @@ pub trait StressModel<R: Real> {
     fn by_depths(&self, _mean: R, _loaded: R) -> R {
         R::one()
     }
+
+    /// `sliding_face`, if at least one lane has it. It acts on one-sided faces only, so the callers of
+    /// [`Self::force`] apply it.
+    #[inline(always)]
+    fn sliding(&self) -> Option<&SlidingFace<R>> {
+        None
+    }
 }
 
 /// Plain resistive force theory: the stress is proportional to depth, without any mechanism.
@@ -125,6 +136,7 @@ struct Active {
     skid_loss: bool,
     graze_loss: bool,
     slip_bearing: bool,
+    sliding_face: bool,
 }
 
 /// The sand side of [`Mechanisms`], ready for evaluation, one lane for each environment.
@@ -150,6 +162,7 @@ pub struct SandMechanisms<R> {
     bearing: R,
     /// ζ [N/m³]
     penetration: R,
+    sliding: SlidingFace<R>,
     /// χ: share of the straight chord in the force on a leg whose concave side leads.
     pub fill: R,
     /// The terms of `sand.toml`.
@@ -175,6 +188,7 @@ impl<R: Real> SandMechanisms<R> {
             graze_loss: zero,
             bearing: zero,
             penetration: zero,
+            sliding: SlidingFace::none(),
             fill: zero,
             terms: LaneTerms::new(),
         };
@@ -200,6 +214,8 @@ impl<R: Real> SandMechanisms<R> {
         self.active.skid_loss |= m.skid_loss != 0.0;
         self.active.graze_loss |= m.graze_loss != 0.0;
         self.active.slip_bearing |= m.slip_bearing != 0.0;
+        self.active.sliding_face |= m.sliding_face != 0.0;
+        self.sliding.set_lane(lane, m, bulk_density);
         self.skid_loss.set_lane(lane, m.skid_loss);
         self.graze_loss.set_lane(lane, m.graze_loss);
         self.bearing.set_lane(lane, m.slip_bearing * inclination(m.friction_clip));
@@ -319,6 +335,11 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
         let tiny = R::splat(1e-12); // [m]; avoids 0/0 outside the sand
         let (mean, loaded) = (mean.max(tiny), loaded.max(tiny));
         self.depth(loaded) * mean / (self.depth(mean) * loaded)
+    }
+
+    #[inline(always)]
+    fn sliding(&self) -> Option<&SlidingFace<R>> {
+        self.active.sliding_face.then_some(&self.sliding)
     }
 
     /// The law's stress per depth plus that of `slip_bearing` is multiplied by the depth and by the factors of `scale`,

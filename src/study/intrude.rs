@@ -37,7 +37,7 @@ const SENT_PLATES: usize = 50_000;
   sandgait intrude --body sphere:radius=0.02 --trials steps.csv --memory --csv forces.csv --surface heights.csv")]
 pub struct Intrude {
     /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES
-    #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "rows", "mu_s", "plate_size", "memory", "repose_deg", "cell", "surface"])]
+    #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "rows", "mu_s", "plate_size", "memory", "repose_deg", "cell", "surface", "grain_size"])]
     shape: Option<String>,
     /// Distance from hip to tip [m]
     #[arg(long, value_name = "METRES", default_value_t = CHORD)]
@@ -78,6 +78,9 @@ pub struct Intrude {
     /// File for the surface after each trial: trial, x, y and height of the cells that were moved (CSV)
     #[arg(long, value_name = "FILE", requires = "memory")]
     surface: Option<OutputPath>,
+    /// Diameter of the grains [m], for the passing part of sliding_face
+    #[arg(long, value_name = "METRES", requires = "memory")]
+    grain_size: Option<f64>,
 }
 
 impl Study for Intrude {
@@ -109,8 +112,8 @@ impl Study for Intrude {
         if let Some(mu) = self.mu_s {
             sand = with_friction(&sand, mu)?;
         }
-        let memory =
-            self.memory.then_some(SandMemory { repose_deg: self.repose_deg, cell: self.cell, surface: self.surface });
+        let Self { repose_deg, cell, grain_size, .. } = self;
+        let memory = self.memory.then_some(SandMemory { repose_deg, cell, grain_size, surface: self.surface });
         let rows = trials::read(&rows.0, inputs, memory.is_some())?;
         let plated = plated(body, self.plate_size, inputs)?;
         let bytes = rows.body_bytes(&plated) + rows.sand_bytes(memory.as_ref());

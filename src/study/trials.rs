@@ -83,6 +83,8 @@ pub struct TrialRows {
 pub struct SandMemory {
     pub repose_deg: Option<f64>,
     pub cell: Option<f64>,
+    /// Diameter of the grains [m], if what passes of `sliding_face` is computed.
+    pub grain_size: Option<f64>,
     /// File for the surface after each path.
     pub surface: Option<OutputPath>,
 }
@@ -96,6 +98,16 @@ pub struct Trials {
     pub memory: Option<SandMemory>,
 }
 
+impl SandMemory {
+    fn path<'a>(&self, body: &'a PlatedBody, sand: &'a SandDescription) -> Result<path::Path<'a>> {
+        let path = path::Path::new(body, sand, self.repose_deg, self.cell)?;
+        match self.grain_size {
+            Some(diameter) => path.in_grains(diameter),
+            None => Ok(path),
+        }
+    }
+}
+
 impl Trials {
     /// Refuses what cannot be computed.
     pub fn check(&self) -> Result<()> {
@@ -103,7 +115,7 @@ impl Trials {
         check_range("number of rows", rows.trials.len() as f64, 1.0..=MOST_ROWS as f64)?;
         check_all(sand, &rows.trials)?;
         let Some(memory) = memory else { return Ok(()) };
-        path::Path::new(body, sand, memory.repose_deg, memory.cell)?;
+        memory.path(body, sand)?;
         rows.paths.iter().try_for_each(|(name, moments)| {
             path::check(body, sand, moments).map_err(|e| Error::invalid(format!("trial {name:?}"), e.to_string()))
         })
@@ -147,7 +159,7 @@ impl Trials {
     /// The forces along all paths, and the surfaces that they leave.
     fn follow(&self, memory: &SandMemory, progress: &dyn Progress) -> Result<(Vec<TrialOutcome>, Option<StudyFile>)> {
         let followed = parallel::map(&self.rows.paths, |(name, moments)| -> Result<_> {
-            let mut path = path::Path::new(&self.body, &self.sand, memory.repose_deg, memory.cell)?;
+            let mut path = memory.path(&self.body, &self.sand)?;
             let mut outcomes = Vec::with_capacity(moments.len());
             for moment in moments {
                 progress.report(0.0, "trials")?;

@@ -8,6 +8,7 @@ mod body;
 pub mod cut;
 mod gather;
 mod mesh;
+mod passing;
 pub mod path;
 mod trials;
 
@@ -55,3 +56,6 @@ pub fn volume(plates: &[IntruderPlate]) -> f64 {
 pub fn area(plates: &[IntruderPlate]) -> f64 {
     plates.iter().map(|p| p.area).sum()
 }
+
+#[cfg(test)]
+mod courses;

@@ -1,6 +1,7 @@
 //! A body that moves on a path over sand that remembers: row by row in time.
 
-use super::trials::{DepthOrLoad, Status, Trial, TrialOutcome, check_all, compute};
+use super::passing::Passing;
+use super::trials::{DepthOrLoad, Status, Trial, TrialOutcome, check_all, compute_with};
 use super::{IntruderPlate, PlatedBody};
 use crate::SandDescription;
 use crate::error::{Error, Result, check_range};
@@ -35,6 +36,8 @@ pub struct Path<'a> {
     last: Option<Last>,
     /// Time for which the sand has not slid yet [s].
     sliding: f64,
+    /// What earlier motions have left on the plates, if the size of the grains is known.
+    passing: Option<Passing>,
 }
 
 struct Last {
@@ -62,11 +65,32 @@ impl<'a> Path<'a> {
             ..MemorySettings::new(&sand.medium(), cell, BITS, widest(body), repose_deg)
         };
         let moved = Moved::new(&settings, 1);
-        Ok(Self { body, sand, settings, moved, marks: Marks::default(), last: None, sliding: 0.0 })
+        Ok(Self { body, sand, settings, moved, marks: Marks::default(), last: None, sliding: 0.0, passing: None })
+    }
+
+    /// The same in grains of this diameter [m]: with `sliding_face`, the stress of a motion passes over some 1.5
+    /// diameters of the next.
+    pub fn in_grains(mut self, diameter: f64) -> Result<Self> {
+        self.passing = Some(Passing::new(self.sand, diameter)?);
+        Ok(self)
     }
 
     /// Moves the body to the next moment, and returns the force there.
     pub fn step(&mut self, moment: &PathPoint) -> TrialOutcome {
+        let since = self.last.as_ref().map_or(0.0, |last| moment.time - last.moment.time);
+        if let Some(passing) = &mut self.passing {
+            passing.advance(self.body, self.sand, &moment.trial, since);
+        }
+        let outcome = self.move_to(moment);
+        if let Some(passing) = &mut self.passing {
+            let level = f64::from(self.moved.found[0].level);
+            let low = self.last.as_ref().map_or(level, |last| last.low);
+            passing.leave(self.body, level - low + self.body.heights()[0]);
+        }
+        outcome
+    }
+
+    fn move_to(&mut self, moment: &PathPoint) -> TrialOutcome {
         let Some(last) = self.last.take() else {
             let place = moment.place.unwrap_or_default();
             let low = self.force(&moment.trial).1;
@@ -116,7 +140,8 @@ impl<'a> Path<'a> {
             DepthOrLoad::Depth(depth) => DepthOrLoad::Depth((depth + level).min(0.0)),
             DepthOrLoad::Load(load) => DepthOrLoad::Load(load / strength),
         };
-        let mut outcome = compute(self.body, self.sand, &Trial { given, ..*trial });
+        let left = self.passing.as_ref().map_or(&[][..], |passing| &passing.excess);
+        let mut outcome = compute_with(self.body, self.sand, &Trial { given, ..*trial }, left);
         let low = if outcome.status == Status::Ok { level - outcome.depth } else { level };
         outcome.force = outcome.force.map(|f| f * strength);
         outcome.torque = outcome.torque.map(|t| t * strength);

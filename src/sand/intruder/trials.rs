@@ -1,7 +1,8 @@
 //! Steady motions: force and torque at a given depth, or the depth that carries a given load.
 
-use super::{IntruderPlate, PlatedBody};
+use super::{IntruderPlate, PlatedBody, passing};
 use crate::error::{Error, Result, check_range};
+use crate::mechanism_laws::SlidingFace;
 use crate::number::Vec3;
 use crate::{Regularization, SandBed, SandDescription, SegmentState, Term};
 
@@ -35,6 +36,11 @@ pub struct Trial {
 }
 
 impl Trial {
+    /// Velocity of a point of the body [m/s]; `arm`: from its origin [m].
+    pub(super) fn velocity_at(&self, arm: Vec3<f64>) -> Vec3<f64> {
+        Vec3::splat(self.velocity) + Vec3::<f64>::splat(self.spin).cross(arm)
+    }
+
     /// Refuses numbers that no experiment has: our choice, which catches wrong units.
     pub fn validated(self) -> Result<Self> {
         for (name, value) in ["vx", "vy", "vz"].iter().zip(self.velocity) {
@@ -115,7 +121,7 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     Ok(())
 }
 
-/// The force on one plate: growing · D(depth) + constant, where D is the depth or a power of it.
+/// The force on one plate: growing · D(depth) + constant + resting · depth, where D is the depth or a power of it.
 struct DepthForce {
     /// Height of the centre above the body's origin [m], and half the plate's vertical extent.
     height: f64,
@@ -123,6 +129,22 @@ struct DepthForce {
     arm: Vec3<f64>,
     growing: Vec3<f64>,
     constant: Vec3<f64>,
+    /// 0 unless `sliding_face` is on.
+    resting: Vec3<f64>,
+}
+
+/// The part of a plate that leads, and how it moves.
+struct LeadingPart {
+    normal: Vec3<f64>,
+    /// Velocity of the plate's centre [m/s].
+    v: Vec3<f64>,
+    speed: f64,
+    /// n·v at the centre, its largest difference at the edges, and its mean over the part that leads [m/s].
+    along: f64,
+    uneven: f64,
+    toward: f64,
+    /// The share of the plate's force that counts.
+    share: f64,
 }
 
 /// Plates are first prepared up to the first share of the body's height. If this part carries the load, the plates
@@ -145,12 +167,19 @@ struct Turns {
 
 /// Computes one trial.
 pub fn compute(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> TrialOutcome {
-    let medium = sand.medium();
-    let ground = SandBed::new(sand.law, &medium, &Regularization::BARE).with(&sand.mechanisms, &medium);
-    let plain = sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0;
+    compute_with(body, sand, trial, &[])
+}
+
+/// The same with the stress [N/m³] that earlier motions have left on each plate ([`passing`]); none if `excess` is empty.
+/// A body that is not round may then not turn.
+pub(super) fn compute_with(body: &PlatedBody, sand: &SandDescription, trial: &Trial, excess: &[f64]) -> TrialOutcome {
+    let (ground, plain) = (bed(sand), plain(sand));
     let turns = Turns::of(body, trial);
     let height = turns.heights[1] - turns.heights[0];
-    let up_to = |depth: f64| MovingPlates::new(body, &ground, trial, &turns, turns.heights[0] + depth, plain);
+    let up_to = |depth: f64| {
+        let surface = turns.heights[0] + depth;
+        MovingPlates::new(body, &ground, trial, &turns, surface, plain, excess)
+    };
     let found = match trial.given {
         DepthOrLoad::Depth(depth) => Some((depth, up_to(depth))),
         DepthOrLoad::Load(load) => {
@@ -169,6 +198,28 @@ pub fn compute(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> Tria
     };
     let [force, torque] = motion.load(turns.heights[0] + depth).map(|v| v.lane(0));
     TrialOutcome { force, torque, depth, status: Status::Ok }
+}
+
+pub(super) fn bed(sand: &SandDescription) -> SandBed<f64> {
+    let medium = sand.medium();
+    SandBed::new(sand.law, &medium, &Regularization::BARE).with(&sand.mechanisms, &medium)
+}
+
+/// Are all forces proportional to the depth or a power of it?
+fn plain(sand: &SandDescription) -> bool {
+    sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0
+}
+
+/// The steady pressure per depth [N/m³] against each plate; None for plates at rest. With `depth_power` it is that at the
+/// mechanism's reference depth.
+pub(super) fn pressures(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> Vec<Option<f64>> {
+    let (ground, plain) = (bed(sand), plain(sand));
+    let pressure = |p: &IntruderPlate| {
+        let moves = trial.velocity_at(p.center).norm_squared() > 0.0;
+        let force = DepthForce::of(&ground, p, trial, plain, 0.0).map_or(Vec3::zero(), |f| f.growing + f.resting);
+        moves.then(|| -force.dot(p.normal) / p.area)
+    };
+    body.plates.iter().map(pressure).collect()
 }
 
 impl Turns {
@@ -196,12 +247,14 @@ impl<'a> MovingPlates<'a> {
         turns: &Turns,
         surface: f64,
         plain: bool,
+        excess: &[f64],
     ) -> Self {
         let mut pieces = Vec::new();
         if turns.count == 1 {
             // The plates are sorted already.
-            let below = body.plates.iter().take_while(|p| p.center.z - p.rise() < surface);
-            pieces.extend(below.filter_map(|p| DepthForce::of(ground, p, trial, plain)));
+            let below = body.plates.iter().enumerate().take_while(|(_, p)| p.center.z - p.rise() < surface);
+            let left = |k: usize| excess.get(k).copied().unwrap_or(0.0);
+            pieces.extend(below.filter_map(|(k, p)| DepthForce::of(ground, p, trial, plain, left(k))));
             return Self { ground, pieces, share: 1.0 };
         }
         for k in 0..turns.count {
@@ -213,7 +266,7 @@ impl<'a> MovingPlates<'a> {
                 ..*p
             });
             let below = plates.filter(|p| p.center.z - p.rise() < surface);
-            pieces.extend(below.filter_map(|p| DepthForce::of(ground, &p, trial, plain)));
+            pieces.extend(below.filter_map(|p| DepthForce::of(ground, &p, trial, plain, 0.0)));
         }
         pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
         Self { ground, pieces, share: 1.0 / turns.count as f64 }
@@ -221,10 +274,13 @@ impl<'a> MovingPlates<'a> {
 
     /// Force and torque when the sand's surface is at `surface` [m] above the origin.
     fn load(&self, surface: f64) -> [Vec3<f64>; 2] {
-        let mut sum = [Vec3::zero(), Vec3::zero()];
+        let (mut sum, rests) = ([Vec3::zero(), Vec3::zero()], self.ground.sliding().is_some());
         for piece in self.pieces.iter().take_while(|p| p.height - p.rise < surface) {
             let (depth, share) = piece.submerged(surface - piece.height);
-            let force = piece.growing.scale_add(self.ground.grown(depth) * share, piece.constant * share);
+            let mut force = piece.growing.scale_add(self.ground.grown(depth) * share, piece.constant * share);
+            if rests {
+                force += piece.resting * (depth * share);
+            }
             sum = [sum[0] + force, sum[1] + piece.arm.cross(force)];
         }
         sum.map(|v| v * self.share)
@@ -247,12 +303,11 @@ impl<'a> MovingPlates<'a> {
     }
 }
 
-impl DepthForce {
-    /// The force on the leading part of a plate; None if no part leads. If the leading edge crosses the plate, the
-    /// force is proportional to the leading share.
-    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial, plain: bool) -> Option<Self> {
-        let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
-        let v = velocity + spin.cross(plate.center);
+impl LeadingPart {
+    /// None if the plate is at rest. If the leading edge crosses the plate, the force is proportional to the leading
+    /// share. With `sliding_face` it also rises over the mechanism's range of n·v̂.
+    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial) -> Option<Self> {
+        let v = trial.velocity_at(plate.center);
         let speed = v.norm_squared().sqrt();
         if speed == 0.0 {
             return None;
@@ -262,19 +317,49 @@ impl DepthForce {
         let least = 1e-12 * speed;
         let n = plate.normal;
         let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
-        let (along, uneven) = (normal.dot(v), plate.unevenness(v, spin));
-        let leading =
-            if uneven > least { (0.5 + 0.5 * along / uneven).clamp(0.0, 1.0) } else { f64::from(along >= -least) };
-        if leading == 0.0 {
-            return None;
+        let (along, uneven) = (normal.dot(v), plate.unevenness(v, Vec3::splat(trial.spin)));
+        if let Some(face) = ground.sliding() {
+            let share = ((along + uneven) / (2.0 * uneven + face.range(0.0) * speed)).clamp(0.0, 1.0);
+            let toward = along.max((along + uneven) / 2.0).max(least);
+            return Some(Self { normal, v, speed, along, uneven, toward, share });
         }
+        let share =
+            if uneven > least { (0.5 + 0.5 * along / uneven).clamp(0.0, 1.0) } else { f64::from(along >= -least) };
         // If the leading edge crosses the plate, n·v of the leading part ranges from 0 to `along + uneven`, so its mean
         // is half of this. A plate that moves along itself is also pushed, not pulled.
-        let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
-        let v = normal.scale_add(toward - along, v);
+        let toward = if share < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
+        Some(Self { normal, v, speed, along, uneven, toward, share })
+    }
+
+    /// The force [N/m] for each metre of depth of the sand at rest, if `sliding_face` is on.
+    fn resting(&self, ground: &SandBed<f64>, area: f64) -> Vec3<f64> {
+        let Some(face) = ground.sliding() else { return Vec3::zero() };
+        let load = face.resting(self.along / self.speed, self.uneven / self.speed).share * area;
+        if load == 0.0 {
+            return Vec3::zero();
+        }
+        let load = load * SlidingFace::pressure(self.normal.z);
+        face.force(self.normal * load, load, self.v * (1.0 / self.speed), 1.0)
+    }
+}
+
+impl DepthForce {
+    /// The force on the leading part of a plate; None if there is none.
+    fn of(ground: &SandBed<f64>, plate: &IntruderPlate, trial: &Trial, plain: bool, excess: f64) -> Option<Self> {
+        let part = LeadingPart::of(ground, plate, trial)?;
+        let mut resting = part.resting(ground, plate.area);
+        if excess != 0.0 {
+            resting += passing::force(plate, part.normal, part.v, excess);
+        }
+        if part.share == 0.0 {
+            let none = Vec3::zero();
+            return (resting.norm_squared() > 0.0).then(|| Self::over(plate, [none, none, resting]));
+        }
+        let v = part.normal.scale_add(part.toward - part.along, part.v);
         let at = |depth| {
-            let site = SegmentState::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
-            ground.thin_plate(&site, plate.area * leading, normal, v).force
+            let [x, y, _] = trial.velocity;
+            let site = SegmentState::fresh(depth, plate.center.x).travelling([x, y]);
+            ground.thin_plate(&site, plate.area * part.share, part.normal, v).force
         };
         let less = ground.grown(PROBES[0]);
         let near = at(PROBES[0]);
@@ -283,7 +368,11 @@ impl DepthForce {
             false => (at(PROBES[1]) - near) * (1.0 / (ground.grown(PROBES[1]) - less)),
         };
         let constant = if plain { Vec3::zero() } else { near - growing * less };
-        Some(Self { height: plate.center.z, rise: plate.rise(), arm: plate.center, growing, constant })
+        Some(Self::over(plate, [growing, constant, resting]))
+    }
+
+    fn over(plate: &IntruderPlate, [growing, constant, resting]: [Vec3<f64>; 3]) -> Self {
+        Self { height: plate.center.z, rise: plate.rise(), arm: plate.center, growing, constant, resting }
     }
 
     /// Mean depth of the part in the sand and its share of the plate, for a centre at `depth`.

@@ -3,6 +3,7 @@
 use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use crate::number::{Real, Spread, Vec3};
 use crate::sand::StressModel;
+use crate::sand::mechanism_laws::{RestingShare, SlidingFace};
 
 /// The velocity of a body and the sand's surface, both in the body's frame.
 pub(super) struct Own<R> {
@@ -45,6 +46,18 @@ pub(super) struct Leading<R> {
     pub(super) place: Vec3<R>,
     /// Derivative of `load` with respect to n·v̂ [m³].
     pub(super) growth: R,
+    /// 0 unless `sliding_face` is on.
+    pub(super) resting: Resting<R>,
+}
+
+/// The sand at rest on plates that slide along themselves, as sums over the plates of a patch.
+pub(super) struct Resting<R> {
+    /// Σ load [m³], see [`SlidingFace::force`]; the next sums have a further factor: normal; place.
+    pub(super) load: R,
+    pub(super) normal: Vec3<R>,
+    pub(super) place: Vec3<R>,
+    /// Derivative of `load` with respect to n·v̂ [m³].
+    pub(super) slope: R,
 }
 
 /// The hottest loop in simulations of robots on sand.
@@ -53,13 +66,16 @@ pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
     patch: &Patch<S, D>,
     own: &Own<R>,
     inverse_speed: R,
+    sliding: Option<&SlidingFace<R>>,
 ) -> Leading<R> {
     let (zero, one) = (R::zero(), R::one());
     let own = Own { linear: own.linear * inverse_speed, angular: own.angular * inverse_speed, ..*own };
     let mut sum = Leading::none();
     for facet in &patch.facets {
         let normal: Vec3<R> = lanes(&facet.normal);
-        let share = facet.along(&own).mul_add(facet.growth.spread(), facet.begun.spread());
+        let along = facet.along(&own);
+        let (begun, growth, edge) = facet.rise_of_share(sliding);
+        let share = along.mul_add(growth, begun);
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
         // The factor of `rise` is about √(1 − x²): at most 0.17 too small (near x = 0.94), and 0.04 on average over all directions.
         let x = normal.dot(own.up);
@@ -74,13 +90,17 @@ pub(super) fn leading<R: Real, M: StressModel<R>, S: Spread<R>, D>(
             sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
         }
         sum.add(facet, normal, half * (lower + upper));
-        sum.grow(share, facet.edge.spread(), depth);
+        sum.grow(share, edge, depth);
+        if let Some(face) = sliding {
+            let wet = facet.area.spread() * R::splat(0.5) * (lower + upper);
+            sum.resting.add(facet, wet * SlidingFace::pressure(x), face.resting(along, begun / growth));
+        }
     }
     for panel in &patch.panels {
-        panel.press::<R, M>(&own, &mut sum);
+        panel.press::<R, M>(&own, &mut sum, sliding);
     }
     for tile in &patch.tiles {
-        tile.press::<R, M>(&own, &mut sum);
+        tile.press::<R, M>(&own, &mut sum, sliding);
     }
     // n·n = 1, also in the mean over a bent plate, so the three squares add up to the load.
     sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
@@ -96,12 +116,44 @@ impl<S> Facet<S> {
     {
         lanes(&self.normal).dot(own.linear) + lanes(&self.moment).dot(own.angular)
     }
+
+    /// `begun`, `growth` and `edge`. With `sliding_face` the share rises from −w to w + κ, where −w to w is its range for
+    /// a bent plate without the mechanism; for a flat one w is 0.
+    #[inline(always)]
+    fn rise_of_share<R: Real>(&self, sliding: Option<&SlidingFace<R>>) -> (R, R, R)
+    where
+        S: Spread<R>,
+    {
+        let (begun, growth, edge): (R, R, R) = (self.begun.spread(), self.growth.spread(), self.edge.spread());
+        let Some(face) = sliding else { return (begun, growth, edge) };
+        let before = begun / growth;
+        let flat = R::select(R::zero().lt(begun), R::zero(), R::one() / growth);
+        let slower = R::one() / (before + before + face.range(flat));
+        (
+            face.where_on(before * slower, begun),
+            face.where_on(slower, growth),
+            face.where_on(slower * self.area.spread(), edge),
+        )
+    }
+
+    /// Volume of sand above a plate [m³], weighted by the pressure of sand at rest, for a plate whose depth changes by
+    /// ± `rise` and whose centre is at `depth`.
+    #[inline(always)]
+    fn resting_load<R: Real>(&self, up: Vec3<R>, depth: R, rise: R) -> R
+    where
+        S: Spread<R>,
+    {
+        let low = (depth + rise).max(R::zero());
+        let wet = (R::splat(0.5) * low / rise).min(R::one());
+        let pressure = SlidingFace::pressure(lanes(&self.normal).dot(up));
+        self.area.spread() * wet * (low - rise * wet) * pressure
+    }
 }
 
 impl<S> Tile<S> {
     /// Adds its leading part in the sand, with the distribution of depths of [`Panel::press`].
     #[inline(always)]
-    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>)
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>, sliding: Option<&SlidingFace<R>>)
     where
         S: Spread<R>,
     {
@@ -111,8 +163,8 @@ impl<S> Tile<S> {
         // Because the body turns, n·v̂ at the plate's corners differs by up to ± `spread` from n·v̂ at its centre.
         let turning = own.angular.cross(lanes(&facet.normal));
         let spread = halves[0].dot(turning).abs() + halves[1].dot(turning).abs();
-        let growth =
-            one / spread.mul_add(R::splat(2.0), R::splat(crate::sand::Regularization::SOLID.leading_edge_gate));
+        let gate = R::splat(crate::sand::Regularization::SOLID.leading_edge_gate);
+        let growth = one / spread.mul_add(R::splat(2.0), sliding.map_or(gate, |face| face.range(gate)));
         let share = (facet.along(own) + spread) * growth;
         let rise = slopes[0].mul_add(slopes[0], slopes[1].mul_add(slopes[1], R::splat(1e-20))).sqrt();
         let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
@@ -127,6 +179,10 @@ impl<S> Tile<S> {
         }
         sum.add(facet, lanes(&facet.normal), part * mean);
         sum.grow(share, growth * facet.area.spread(), depth);
+        if let Some(face) = sliding {
+            let load = facet.resting_load(own.up, depth, rise);
+            sum.resting.add(facet, load, face.resting(facet.along(own), spread));
+        }
     }
 }
 
@@ -134,7 +190,7 @@ impl<S> Panel<S> {
     /// Adds its leading part in the sand. The depth of that part is taken as evenly distributed between its lowest and
     /// its highest point, which is exact if the depth changes in one direction only.
     #[inline(always)]
-    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>)
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>, sliding: Option<&SlidingFace<R>>)
     where
         S: Spread<R>,
     {
@@ -145,9 +201,16 @@ impl<S> Panel<S> {
         // n·v̂ changes by ± `spread` towards the edges of the bent side. Names that end in `_s` are for numbers
         // multiplied by `spread`, so that one division suffices.
         let turning = turn.dot(own.linear);
-        let spread = turning.abs().max(R::splat(crate::sand::Regularization::SOLID.leading_edge_gate / 2.0));
         let (half, third) = (R::splat(0.5), R::splat(1.0 / 3.0));
-        let leads_s = (half * (facet.along(own) + spread)).clamp(zero, spread);
+        let least = R::splat(crate::sand::Regularization::SOLID.leading_edge_gate / 2.0);
+        let (mut along, mut spread) = (facet.along(own), turning.abs());
+        if let Some(face) = sliding {
+            // From −`turning` to `turning` + κ.
+            let later = half * face.range(zero);
+            (along, spread) = (along - later, spread + later);
+        }
+        let spread = spread.max(least);
+        let leads_s = (half * (along + spread)).clamp(zero, spread);
         // The part that is turned towards the velocity leads: its middle (`ahead_s`) and its share of the length
         // (`leads_s`).
         let ahead_s = R::select(turning.lt(zero), leads_s - spread, spread - leads_s);
@@ -179,6 +242,11 @@ impl<S> Panel<S> {
         sum.place = sides[0].scale_add(load.mul_add(ahead, below * leads * leads * bent), sum.place);
         let edge = half * per_spread * facet.area.spread();
         sum.grow(leads, edge, ahead.mul_add(-bent, depth));
+        if let Some(face) = sliding {
+            let rise = bent.mul_add(bent, straight.mul_add(straight, R::splat(1e-20))).sqrt();
+            let load = facet.resting_load(own.up, depth, rise);
+            sum.resting.add(facet, load, face.resting(facet.along(own), turning.abs()));
+        }
     }
 }
 
@@ -195,6 +263,7 @@ impl<R: Real> Leading<R> {
             products: none,
             place: none,
             growth: zero,
+            resting: Resting { load: zero, normal: none, place: none, slope: zero },
         }
     }
 
@@ -216,6 +285,18 @@ impl<R: Real> Leading<R> {
         let (zero, one) = (R::zero(), R::one());
         let inside = R::select(leads.lt(one), edge * depth.max(zero), zero);
         self.growth += R::select(zero.lt(leads), inside, zero);
+    }
+}
+
+impl<R: Real> Resting<R> {
+    /// Adds a plate with the load `load` [m³] before its share.
+    #[inline(always)]
+    fn add<S: Spread<R>>(&mut self, facet: &Facet<S>, load: R, at: RestingShare<R>) {
+        let part = load * at.share;
+        self.load += part;
+        self.normal = lanes(&facet.normal).scale_add(part, self.normal);
+        self.place = lanes(&facet.center).scale_add(part, self.place);
+        self.slope = load.mul_add(at.slope, self.slope);
     }
 }
 

@@ -5,14 +5,15 @@
 //! law is evaluated once for each patch ([`super::patches`]), for those of its plates that lead in the sand.
 
 use super::dynamics::LinkLoad;
-use super::leading::{Own, leading};
+use super::leading::{Own, Resting, leading};
 use super::patches::{BodyPatches, Patch};
 use super::terrain::{Local, Surface};
 use crate::blocks::{LaneState, LinkFrame};
 use crate::number::{Kernel, Mat3, Real, Spread, Vec3};
 use crate::sand::intruder::IntruderPlate;
 use crate::sand::law::{Normals, StressLaw};
-use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
+use crate::sand::mechanism_laws::SlidingFace;
+use crate::sand::{Contact, LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 use crate::used::{LaneMemory, LanePiece, Surfaces};
 use std::collections::BTreeMap;
@@ -296,7 +297,13 @@ fn by<R: Real, S: Spread<R>, D: Spread<R>, M: StressModel<R>, const SECANT: bool
             continue;
         }
         let speed = own.linear + own.angular.cross(center);
-        let part = leading::<R, M, S, D>(patch, &own, ground.inverse_speed(speed));
+        let sliding = stress_model.sliding();
+        let part = leading::<R, M, S, D>(patch, &own, ground.inverse_speed(speed), sliding);
+        if let Some(face) = sliding.filter(|_| R::any(zero.lt(part.resting.load))) {
+            let rested = RestingPatch { ground, face, part: &part.resting, frame, velocity, turn: &turn, strength };
+            wet = true;
+            rested.add_to::<SECANT>(&mut total, axes.as_ref(), dt);
+        }
         if !R::any(zero.lt(part.load)) {
             continue;
         }
@@ -320,26 +327,64 @@ fn by<R: Real, S: Spread<R>, D: Spread<R>, M: StressModel<R>, const SECANT: bool
             (contact.force, normal) = (axes.apply(contact.force), axes.apply(normal));
         }
         wet = true;
-        total.wrench.force += contact.force;
-        total.wrench.moment += at.cross(contact.force);
-        let mass = contact.drag * dt;
-        let first = at * mass;
-        total.drag.mass += mass;
-        total.drag.first += first;
-        total.drag.second.add_product(at, first);
-        if R::any(zero.lt(contact.edge)) {
-            let edge = contact.edge * dt;
-            if SECANT {
-                total.add_slope(at, normal, v * ground.inverse_speed(v), edge, mass);
-            } else {
-                total.edge.add_outer(edge, &Wrench { moment: at.cross(normal), force: normal });
-            }
-        }
+        total.add_contact::<SECANT>(&contact, at, normal, v * ground.inverse_speed(v), dt);
     }
     wet.then_some(total)
 }
 
+/// The sand at rest on the plates of a patch that slide along themselves ([`crate::sand::mechanism_laws::SlidingFace`]).
+struct RestingPatch<'a, R> {
+    ground: &'a SandBed<R>,
+    face: &'a SlidingFace<R>,
+    part: &'a Resting<R>,
+    frame: &'a LinkFrame<R>,
+    velocity: &'a Twist<R>,
+    /// From the body's axes to the surface's.
+    turn: &'a Mat3<R>,
+    strength: Option<R>,
+}
+
+impl<R: Real> RestingPatch<'_, R> {
+    /// Adds its force. The edge is only the part that resists: where the share falls with n·v̂, the law's rises more.
+    #[inline(always)]
+    fn add_to<const SECANT: bool>(&self, total: &mut Total<R>, axes: Option<&Mat3<R>>, dt: R) {
+        let Self { ground, face, part, frame, velocity, turn, strength } = *self;
+        let at = frame.point(part.place * (R::one() / part.load.max(R::splat(1e-20))));
+        let v = velocity.at(at);
+        let strength = strength.unwrap_or(R::one());
+        let (load, slope) = (part.load * strength, part.slope * strength);
+        let mut normal = turn.apply(part.normal * strength);
+        if let Some(axes) = axes {
+            normal = axes.apply(normal);
+        }
+        let mut contact = ground.resting(face, normal, load, slope, v);
+        contact.edge = contact.edge.max(R::zero());
+        let unit = normal * (R::one() / normal.norm_squared().max(R::splat(1e-30)).sqrt());
+        total.add_contact::<SECANT>(&contact, at, unit, v * ground.inverse_speed(v), dt);
+    }
+}
+
 impl<R: Real> Total<R> {
+    /// Adds the force on a piece with this normal, and its drags; `unit` is v̂.
+    #[inline(always)]
+    fn add_contact<const SECANT: bool>(&mut self, contact: &Contact<R>, at: Vec3<R>, n: Vec3<R>, unit: Vec3<R>, dt: R) {
+        self.wrench.force += contact.force;
+        self.wrench.moment += at.cross(contact.force);
+        let mass = contact.drag * dt;
+        let first = at * mass;
+        self.drag.mass += mass;
+        self.drag.first += first;
+        self.drag.second.add_product(at, first);
+        if R::any(R::zero().lt(contact.edge)) {
+            let edge = contact.edge * dt;
+            if SECANT {
+                self.add_slope(at, n, unit, edge, mass);
+            } else {
+                self.edge.add_outer(edge, &Wrench { moment: at.cross(n), force: n });
+            }
+        }
+    }
+
     #[inline(always)]
     pub fn none() -> Self {
         Self { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) }

@@ -124,6 +124,39 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
     }
 }
 
+/// With `sliding_face` the force of a face rises over the mechanism's range in both, so they are equal for faces that move
+/// along themselves too. The sand at rest on them, with its friction, is in both.
+#[test]
+fn faces_that_slide_along_themselves_carry_what_they_carry_in_steady_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut draw = SignedDraw::new(6);
+    for sand in sands() {
+        let mechanisms = Mechanisms { sliding_face: 0.04, ..sand.mechanisms };
+        let sand = SandDescription { mechanisms, ..sand };
+        let part = if sand.mechanisms.depth_power == 0.0 { 5e-3 } else { 2e-2 };
+        for k in 0..8 {
+            let turn = Rotation3::from_scaled_axis(draw.vector() * if k < 4 { 0.0 } else { 3.0 });
+            let body = turned_box(V::new(0.03, 0.02, 0.01), &turn, folder.path());
+            // Along the box's own x, up to 0.05 off.
+            let v = turn * (V::new(0.3, 0.0, 0.0) + draw.vector() * 0.015);
+            let depth = 0.03 + 0.01 * draw.number();
+            let expected = by_intruder(&body, &sand, depth, v);
+            let found = by_lanes::<f64>(&body.plates, &sand, &turn, depth, v, 1e-20);
+            assert_near(found, expected, part);
+            assert_near(by_lanes::<Portable>(&body.plates, &sand, &turn, depth, v, 1e-20), expected, part);
+            let plain = SandDescription { mechanisms: Mechanisms { sliding_face: 0.0, ..mechanisms }, ..sand.clone() };
+            let without = by_intruder(&body, &plain, depth, v).0;
+            assert!((expected.0 - without).norm() > 0.1 * without.norm(), "the mechanism did nothing: {expected:?}");
+        }
+        let ball = PlatedBody::cut(&BodyShape::Sphere { radius: 0.02 }, None).unwrap();
+        for _ in 0..6 {
+            let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
+            let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
+            assert_near(found, by_intruder(&ball, &sand, depth, v), 3e-2);
+        }
+    }
+}
+
 #[track_caller]
 fn assert_near((f, m): (V, V), (force, moment): (V, V), part: f64) {
     // Arms are up to 4 cm.
