@@ -3,35 +3,133 @@
 
 use super::error::{Error, Result};
 use std::fs::{File, TryLockError};
-use std::io::{ErrorKind, Read as _, Write as _};
+use std::io::{ErrorKind, Read, Write as _};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// Largest text that is read, of a robot, sand, settings or a token [bytes]: our choice, fifty times the largest robot we
 /// have seen.
 pub const MOST_TEXT: u64 = 8 << 20;
 
-/// Reads a file of at most `most` bytes. A pipe may stand in the file's place. A device without an end is refused once it
-/// has given more.
+/// Time for which a pipe is read before something writes into it: our choice, enough for a program that starts at the same time.
+const PIPE_WAITS: Duration = Duration::from_secs(2);
+/// Time between two looks into a pipe that gives nothing yet: our choice, short beside a program's start.
+const PIPE_LOOKS: Duration = Duration::from_millis(5);
+
+/// Reads a file of at most `most` bytes. A pipe may stand in the file's place, such as `<(…)` of a shell. A device without an
+/// end is refused once it has given more.
 ///
 /// # Errors
 /// Names the path and why it cannot be read.
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let (file, length) = open(path, most, "")?;
+    let mut bytes = Vec::with_capacity(length as usize);
+    file.take(most + 1).read_to_end(&mut bytes).map_err(|e| Error::file(path, e))?;
+    if bytes.len() as u64 > most {
+        return Err(Error::file(path, format!("more than the {} MiB that are read", most >> 20)));
+    }
+    Ok(bytes)
+}
+
+/// The same as [`read`], but refuses what is no regular file, such as a pipe or a device.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_regular(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let about = std::fs::metadata(path).map_err(|e| Error::file(path, e))?;
+    if about.is_file() { read(path, most) } else { Err(Error::file(path, "is no file")) }
+}
+
+/// Opens a file or a pipe, and returns its length, which is 0 for a pipe. A file of more than `most` bytes is refused with
+/// `advice`, and so is a pipe into which nothing writes. A pipe may give more than `most` bytes: the caller counts.
+///
+/// # Errors
+/// Names the path and why it cannot be read.
+pub fn open(path: &Path, most: u64, advice: &str) -> Result<(PatientFile, u64)> {
     let failed = |e| Error::file(path, e);
-    let file = File::open(path).map_err(failed)?;
+    let file = waiting_for_none(path).map_err(failed)?;
     let about = file.metadata().map_err(failed)?;
     if about.is_dir() {
         return Err(Error::file(path, "is a folder"));
     }
     if about.len() > most {
         let size = about.len() >> 20;
-        return Err(Error::file(path, format!("{size} MiB is more than the {} MiB that are read", most >> 20)));
+        return Err(Error::file(path, format!("{size} MiB is more than the {} MiB that are read{advice}", most >> 20)));
     }
-    let mut bytes = Vec::with_capacity(about.len() as usize);
-    file.take(most + 1).read_to_end(&mut bytes).map_err(failed)?;
-    if bytes.len() as u64 > most {
-        return Err(Error::file(path, format!("more than the {} MiB that are read", most >> 20)));
+    let mut file = PatientFile { file, first: Vec::new() };
+    if is_pipe(&about) {
+        file.await_writer().map_err(failed)?;
     }
-    Ok(bytes)
+    Ok((file, about.len()))
+}
+
+/// A file, or a pipe whose writer may be slow.
+pub struct PatientFile {
+    file: File,
+    /// What was read while the writer was awaited.
+    first: Vec<u8>,
+}
+
+impl PatientFile {
+    /// Waits for the first byte of a pipe.
+    fn await_writer(&mut self) -> std::io::Result<()> {
+        let (start, mut byte) = (Instant::now(), [0]);
+        loop {
+            match self.file.read(&mut byte) {
+                Ok(0) if start.elapsed() < PIPE_WAITS => std::thread::sleep(PIPE_LOOKS),
+                Ok(0) => return Err(std::io::Error::other("is a pipe into which nothing writes")),
+                Ok(_) => {
+                    self.first = byte.to_vec();
+                    return Ok(());
+                }
+                // Something has opened the pipe and has not written yet.
+                Err(e) if e.kind() == ErrorKind::WouldBlock => return Ok(()),
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(e) => return Err(e),
+            }
+        }
+    }
+}
+
+impl Read for PatientFile {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        if !self.first.is_empty() && !buffer.is_empty() {
+            let count = self.first.len().min(buffer.len());
+            buffer[..count].copy_from_slice(&self.first[..count]);
+            self.first.drain(..count);
+            return Ok(count);
+        }
+        loop {
+            match self.file.read(buffer) {
+                Err(e) if e.kind() == ErrorKind::WouldBlock => std::thread::sleep(PIPE_LOOKS),
+                read => return read,
+            }
+        }
+    }
+}
+
+/// Opens a file without waiting for the writer of a pipe.
+#[cfg(unix)]
+fn waiting_for_none(path: &Path) -> std::io::Result<File> {
+    use std::os::unix::fs::OpenOptionsExt as _;
+    const O_NONBLOCK: i32 = if cfg!(any(target_os = "linux", target_os = "android")) { 0o4000 } else { 4 };
+    File::options().read(true).custom_flags(O_NONBLOCK).open(path)
+}
+
+#[cfg(not(unix))]
+fn waiting_for_none(path: &Path) -> std::io::Result<File> {
+    File::open(path)
+}
+
+#[cfg(unix)]
+fn is_pipe(about: &std::fs::Metadata) -> bool {
+    use std::os::unix::fs::FileTypeExt as _;
+    about.file_type().is_fifo()
+}
+
+#[cfg(not(unix))]
+fn is_pipe(_: &std::fs::Metadata) -> bool {
+    false
 }
 
 /// Reads a text of at most [`MOST_TEXT`] bytes.
@@ -125,5 +223,32 @@ mod tests {
         assert_eq!(reason("/dev", 1), "/dev: is a folder");
         assert!(read_text(Path::new("/dev/zero")).is_err());
         assert_eq!(read(Path::new("/dev/null"), 0).unwrap(), b"");
+    }
+
+    /// A pipe is read as a file is, however slowly it is written; one into which nothing writes does not stop the program.
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_without_a_writer_is_refused() {
+        let path = std::env::temp_dir().join(format!("sandgait-pipe-{}", std::process::id()));
+        let made = std::process::Command::new("mkfifo").arg(&path).status();
+        if !made.is_ok_and(|status| status.success()) {
+            return;
+        }
+        let reason = read(&path, 100).unwrap_err().to_string();
+        assert!(reason.ends_with("is a pipe into which nothing writes"), "{reason}");
+        assert!(read_regular(&path, 100).unwrap_err().to_string().ends_with("is no file"));
+        let writer = std::thread::spawn({
+            let path = path.clone();
+            move || {
+                let mut pipe = File::options().write(true).open(path).unwrap();
+                for part in ["a", "bc", "d"] {
+                    std::thread::sleep(Duration::from_millis(30));
+                    pipe.write_all(part.as_bytes()).unwrap();
+                }
+            }
+        });
+        assert_eq!(read(&path, 100).unwrap(), b"abcd");
+        writer.join().unwrap();
+        std::fs::remove_file(&path).unwrap();
     }
 }

@@ -135,14 +135,15 @@ pub fn compare(pushes: &[Penetration], compliance: Option<f64>) -> Result<Pushes
     let of = |k: usize| with_interval(whole[k], without.iter().map(|w| w.1[k]));
     let greatest = |k: usize| pushes.iter().flat_map(|p| p.points.iter().map(move |q| q[k])).fold(0.0, f64::max);
     let law = chosen(&scores);
+    let not_negative = |v: Value| Value { interval: positive(v.interval), ..v };
     let mut study = Pushes {
         sizes: by_size(pushes)?,
         law,
         fitted: fit(law, &gathered(&points(here)?, &all))?,
         laws: scores,
-        depth_exponent: of(1),
+        depth_exponent: not_negative(of(1)),
         size_exponent: sized.then(|| of(2)),
-        compliance: with_interval(here, without.iter().map(|w| w.0)),
+        compliance: not_negative(with_interval(here, without.iter().map(|w| w.0))),
         greatest: [greatest(0), greatest(1)],
         cautions: Vec::new(),
     };
@@ -302,6 +303,11 @@ fn soft(pushes: &[Penetration], stretches: &[Vec<[f64; 2]>], chosen: &[usize], s
     Ok(best.1)
 }
 
+/// The interval of a quantity that is never negative: a wide one, of few pushes, ends at 0.
+fn positive([low, high]: [f64; 2]) -> [f64; 2] {
+    [low.max(0.0), high]
+}
+
 /// A 95 % interval by the jackknife: `without` are the values with one push left out.
 fn with_interval(value: f64, without: impl Iterator<Item = f64>) -> Value {
     let without: Vec<f64> = without.collect();
@@ -326,7 +332,7 @@ fn by_size(pushes: &[Penetration]) -> Result<Vec<OfSize>> {
         let scatter = (zetas.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
         let repeatability_percent = (zetas.len() > 1).then(|| 100.0 * scatter / mean);
         let half = student::two_sided_95(n - 1.0) * scatter / n.sqrt();
-        let zeta_interval = (zetas.len() > 1).then_some([mean - half, mean + half]);
+        let zeta_interval = (zetas.len() > 1).then_some(positive([mean - half, mean + half]));
         Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, zeta_interval, repeatability_percent })
     };
     diameters(pushes).into_iter().map(of).collect()

@@ -51,6 +51,7 @@ mod tests {
             ("sandgait play x.onnx --port -1", "--port: -1 is outside [0, 65535]"),
             ("sandgait evaluate tripod --seeds -3", "--seeds: -3 is outside [2, 100000]"),
             ("sandgait serve --listen foo", "--listen: \"foo\" is not HOST:PORT or unix:PATH (invalid socket address)"),
+            ("sandgait evaluate tripod --seeds 3 --seeds 4", "--seeds: is given twice"),
             ("sandgait walk", "missing: --frequency <HZ>"),
             ("sandgait serve --max-message-mib 4096", "--max-message-mib: 4096 is outside [1, 4095]"),
             (

@@ -107,7 +107,7 @@ impl TrainArgs {
     }
 
     fn request(self) -> Result<TrainingRequest> {
-        let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
+        let changes = entry::pairs("--set", &self.set)?;
         let options = Value::Object(self.options.read(super::read_files)?);
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         self.training.request(changes, options, place.transpose()?)

@@ -21,11 +21,7 @@ pub struct SourceFile {
 impl SourceFile {
     /// Reads a regular file of at most `most` bytes.
     pub fn read(path: &Path, most: u64) -> Result<Self> {
-        let about = std::fs::metadata(path).map_err(|e| Error::file(path, e))?;
-        if !about.is_file() {
-            return Err(Error::file(path, "is no file"));
-        }
-        Ok(Self { path: path.to_owned(), bytes: sandgait_base::files::read(path, most)? })
+        Ok(Self { path: path.to_owned(), bytes: sandgait_base::files::read_regular(path, most)? })
     }
 
     pub fn bytes(&self) -> &[u8] {

@@ -104,16 +104,28 @@ impl Study for Evaluate {
             let reason = format!("the policy's task is {task}, not {}", LeggedVelocity::ID);
             return Err(Error::invalid("--commands", reason));
         }
-        let bare = matches!(policy, PolicySource::Network { .. }) && !inputs.has(&settings);
-        let bare = bare && task == LeggedVelocity::ID && options["robot"].is_null();
+        let lone = matches!(policy, PolicySource::Network { .. }) && !inputs.has(&settings);
+        let bare = lone && task == LeggedVelocity::ID && options["robot"].is_null();
         let assumed = bare.then(|| {
             let short = task.trim_start_matches("sandgait/");
             format!("{settings} is missing: the policy runs in {short}, with the task's defaults where --option says nothing")
         });
+        // The policy may suit another task or other options than those that were assumed.
+        let cause = |e: Error| match e {
+            Error::Invalid { field, reason } if lone && field == "policy" => Error::file(
+                Path::new(&settings),
+                format!(
+                    "is missing, so the policy runs in {} with the defaults of what --task and --option do not say: put the \
+                     file beside the policy, or give both; {reason}",
+                    task.trim_start_matches("sandgait/")
+                ),
+            ),
+            other => other,
+        };
         let lines: Vec<String> = assumed.into_iter().chain(line).chain(unfelt_option(&options)).collect();
         if task == LeggedVelocity::ID {
             self.check_commands()?;
-            let study = CommandStudy::new(&policy, &options)?;
+            let study = CommandStudy::new(&policy, &options).map_err(cause)?;
             let name = self.policy.0;
             let bytes = study.bytes();
             let work = StudyWork::new(move |progress| Ok(followed(&name, &study.run(progress)?)));
@@ -121,8 +133,8 @@ impl Study for Evaluate {
         }
         let (media, slopes) = (self.media.unwrap_or_default().0, self.slopes.unwrap_or_default().0);
         let seeds = self.seeds.unwrap_or(EvaluationRequest::SEEDS);
-        let request = EvaluationRequest { policy, task, options, seeds, media, slopes };
-        let study = Evaluation::new(&request)?;
+        let request = EvaluationRequest { policy, task: task.clone(), options, seeds, media, slopes };
+        let study = Evaluation::new(&request).map_err(cause)?;
         let (about, bytes) = (Evaluation::about(&request), study.bytes());
         let work = StudyWork::new(move |progress| Ok(evaluated(about, &study.run(progress)?)));
         Ok(work.warning(lines).taking(bytes))

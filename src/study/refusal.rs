@@ -18,8 +18,11 @@ pub fn one_line(error: &clap::Error) -> String {
     match (error.kind(), argument, context(ContextKind::InvalidValue)) {
         (ErrorKind::MissingRequiredArgument, Some(missing), _) => format!("missing: {missing}"),
         (ErrorKind::ArgumentConflict, Some(argument), _) => {
-            let other = context(ContextKind::PriorArg).unwrap_or_default();
-            format!("{}: cannot be given with {}", name(argument), name(other))
+            let [name, other] = [argument, context(ContextKind::PriorArg).unwrap_or_default()].map(name);
+            match name == other {
+                true => format!("{name}: is given twice"),
+                false => format!("{name}: cannot be given with {other}"),
+            }
         }
         (ErrorKind::InvalidValue, Some(argument), Some(value)) if !value.is_empty() => {
             let known = context(ContextKind::ValidValue).unwrap_or_default();

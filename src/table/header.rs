@@ -195,12 +195,17 @@ fn split(header: &str) -> (&str, Option<&str>) {
     (name.trim(), Some(rest.trim_end_matches([']', ')']).trim()))
 }
 
-/// The same, or name and unit of `name_unit`, if the column has such a unit.
+/// The same, or name and unit of `name_unit` or, as physicists write, `name / unit`, if the column has such a unit.
 fn split_loosely<'a>(header: &'a str, column: &HeaderColumn) -> (&'a str, Option<&'a str>) {
-    match header.rsplit_once('_') {
-        Some((name, unit)) if column.quantity.factor(unit).is_some() => (name, Some(unit)),
-        _ => split(header),
-    }
+    let is_unit = |unit: &str| column.quantity.factor(unit).is_some();
+    let underscore = header.rsplit_once('_').filter(|(_, unit)| is_unit(unit));
+    // The unit may have a slash, too: `v / (m/s)`.
+    let mut slashes = header.match_indices('/').map(|(k, _)| {
+        let unit = header[k + 1..].trim().trim_matches(['(', ')', '[', ']']).trim();
+        (header[..k].trim(), unit)
+    });
+    let found = underscore.or_else(|| slashes.find(|(name, unit)| !name.is_empty() && is_unit(unit)));
+    found.map_or_else(|| split(header), |(name, unit)| (name, Some(unit)))
 }
 
 /// Are two names the same but for small and capital letters? Names of one letter are not: t is the time, T a temperature.

@@ -17,7 +17,6 @@ use crate::error::{Error, Result};
 use dialect::{DecimalSign, Head, in_words};
 use header::ColumnPosition;
 use sha2::{Digest, Sha256};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 
@@ -25,6 +24,8 @@ use std::path::Path;
 /// For the longest log that can be diagnosed this is more than 6 kB for each row. Our choice; it also bounds the memory
 /// that a row without an end takes.
 const MOST_BYTES: u64 = 256 << 20;
+/// What to do with a longer file.
+const ADVICE: &str = ": keep every n-th sample";
 /// Rows between two reports of progress: our choice, some milliseconds' work.
 const REPORT_ROWS: usize = 1000;
 /// Largest time [s]: the seconds from 1970 reach it in the year 2286.
@@ -135,11 +136,7 @@ pub struct Summary {
 
 /// Calls `take` with each row of the file, in the file's order.
 pub fn read(path: &Path, asked: &ReadOptions, take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
-    let file = File::open(path).map_err(|e| Error::file(path, e))?;
-    let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
-    if bytes > MOST_BYTES {
-        return Err(Error::file(path, format!("{} MiB is {}", bytes >> 20, too_long())));
-    }
+    let (file, _) = sandgait_base::files::open(path, MOST_BYTES, ADVICE)?;
     parse(path, file, asked, take)
 }
 
@@ -262,7 +259,7 @@ impl<R: Read> Read for Hashed<R> {
 }
 
 fn too_long() -> String {
-    format!("more than the {} MiB this reads: keep every n-th sample", MOST_BYTES >> 20)
+    format!("more than the {} MiB that are read{ADVICE}", MOST_BYTES >> 20)
 }
 
 /// The first characters of a text, because the text may be very long.

@@ -40,6 +40,7 @@ fn dialects_give_the_same_numbers() {
         "trial;t;Fz;Ty\n-;[ms];(mN);N·m\na;500;-1250;\nb;1500;2500;\n".into(),
         usual.replace('-', "\u{2212}"),
         "Trial;t_ms;FZ (mN)\na;500;-1250\nb;1500;2500\n".into(),
+        "Trial,t / ms,FZ/(mN),Ty / (N·m)\na,500,-1250,\nb,1500,2500,\n".into(),
         "TRIAL,t,fz_mN,Ty\na,0.5,-1250,\nb,1.5,2500,\n".into(),
         "trial,t [ms],Fz\n,ms,mN\na,500,-1250\nb,1500,2500\n".into(),
     ];

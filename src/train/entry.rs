@@ -115,6 +115,22 @@ pub fn pair(option: &str, text: &str) -> Result<(String, Value)> {
     Ok((name.to_owned(), value))
 }
 
+/// The same for several of them.
+///
+/// # Errors
+/// One is no NAME=YAML, or a name is given twice.
+pub fn pairs(option: &str, texts: &[String]) -> Result<Vec<(String, Value)>> {
+    let mut all: Vec<(String, Value)> = Vec::with_capacity(texts.len());
+    for text in texts {
+        let (name, value) = pair(option, text)?;
+        if all.iter().any(|(other, _)| *other == name) {
+            return Err(Error::invalid(format!("{option} {name}"), "is given twice"));
+        }
+        all.push((name, value));
+    }
+    Ok(all)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -179,6 +195,9 @@ mod tests {
             let error = error.unwrap_err().to_string();
             assert!(error.starts_with(says) && !error.contains('\n'), "{error}");
         }
+        let twice = ["gamma=0.9", "seed=1", "gamma=0.8"].map(str::to_owned);
+        assert_eq!(pairs("--set", &twice).unwrap_err().to_string(), "--set gamma: is given twice");
+        assert_eq!(pairs("--set", &twice[..2]).unwrap().len(), 2);
         let kept = settings(None, id, vec![pair("--set", "policy_kwargs={log_std_init: -1}").unwrap()]).unwrap();
         assert_eq!((kept.log_std_init, &kept.net_arch[0]), (-1.0, &vec![64, 64]));
         let error = settings(None, "None", Vec::new()).unwrap_err().to_string();

@@ -25,6 +25,10 @@ impl Mirror {
             return Ok([Self::of(&spec.observation, of_name)?, Self::of(&spec.action, of_name)?]);
         };
         let legged = LeggedMirror::of(robot, model.joint_names())?;
+        if legged.clock.is_none() && spec.observation.iter().any(|column| CLOCK.contains(&&*column.name)) {
+            let reason = "it mixes the two groups of legs that step in turn, so the phase of their steps has no mirror image";
+            return Err(refused(reason));
+        }
         let of_name = |name: &str| legged.image(name);
         Ok([Self::of(&spec.observation, of_name)?, Self::of(&spec.action, of_name)?])
     }
@@ -82,14 +86,18 @@ struct LeggedMirror {
     symmetry: Symmetry,
     joints: Vec<String>,
     /// Sign of the clock's columns. If the legs of one group have images of the other, they do the same half a stride later.
-    clock: f32,
+    /// None: only some of them have.
+    clock: Option<f32>,
 }
 
 impl LeggedMirror {
     fn of(robot: &TreeModel, joints: Vec<String>) -> Result<Self> {
         let symmetry = Symmetry::of(robot).map_err(|e| refused(&e.to_string()))?;
-        let swaps = AlternatingGait::of(robot).and_then(|gait| gait.swaps(&symmetry.joints));
-        Ok(Self { symmetry, joints, clock: if swaps == Some(false) { 1.0 } else { -1.0 } })
+        let clock = match AlternatingGait::of(robot) {
+            Some(gait) => gait.swaps(&symmetry.joints).map(|swaps| if swaps { -1.0 } else { 1.0 }),
+            None => Some(-1.0),
+        };
+        Ok(Self { symmetry, joints, clock })
     }
 
     /// The column of LeggedVelocity that a column's value moves to, and the sign.
@@ -111,7 +119,7 @@ impl LeggedMirror {
             return Some((format!("measured_heights {}", place.join(" ")), 1.0));
         }
         if CLOCK.contains(&name) {
-            return Some((name.to_owned(), self.clock));
+            return Some((name.to_owned(), self.clock?));
         }
         // One coordinate of a vector changes its sign, and two of a rotation.
         let (axis, vector) = match name {

@@ -1,8 +1,8 @@
 //! How long a training with a curriculum usually takes.
 
-/// The update after which a training with a curriculum says how long it usually takes: our choice, because the rate of
-/// the first updates is too low.
-pub const OUTLOOK: u32 = 4;
+/// The update after which a training with a curriculum says how long it usually takes: our choice, because the first update
+/// also starts the environments, so that its rate is too low, and the user waits for this line.
+pub const OUTLOOK: u32 = 2;
 /// Steps [millions] after which the mean level of the curriculum was 0.9 in the kept trainings of four robots with four
 /// legs on packed seeds (`examples/policies/LeggedVelocity-*/curve.csv`): after 3.8 to 4.5.
 const USUAL: [f64; 2] = [4.0, 5.0];

@@ -27,7 +27,14 @@ fn new<'py, T: Element>(py: Python<'py>, shape: &[usize]) -> Bound<'py, PyArrayD
 /// The pieces are longer than the array.
 fn fill<'a, T: Element + Copy + 'a>(array: &Bound<'_, PyArrayDyn<T>>, pieces: impl Iterator<Item = &'a [T]>) {
     // SAFETY: the array is new, contiguous, and not shared; it is written and not read.
-    let mut free = unsafe { from_raw_parts_mut(array.data(), array.len()) };
+    put_all(unsafe { from_raw_parts_mut(array.data(), array.len()) }, pieces);
+}
+
+/// Writes `pieces` into `free`, one after the other.
+///
+/// # Panics
+/// The pieces are longer than `free`.
+fn put_all<'a, T: Copy + 'a>(mut free: &mut [T], pieces: impl Iterator<Item = &'a [T]>) {
     for piece in pieces {
         let (now, later) = free.split_at_mut(piece.len());
         now.copy_from_slice(piece);
@@ -214,12 +221,8 @@ fn packed<'py, T: LittleEndian>(
         return Err(wrong_size());
     }
     // SAFETY: the array is new, contiguous, not shared, and of this many bytes; any bytes are numbers.
-    let mut free = unsafe { from_raw_parts_mut(array.data().cast::<u8>(), size_of::<T>() * array.len()) };
-    for piece in pieces {
-        let (now, later) = free.split_at_mut(piece.len());
-        now.copy_from_slice(piece);
-        free = later;
-    }
+    let free = unsafe { from_raw_parts_mut(array.data().cast::<u8>(), size_of::<T>() * array.len()) };
+    put_all(free, pieces.iter().copied());
     Ok(array)
 }
 

@@ -78,3 +78,16 @@ fn what_says_nothing_is_refused() {
     pulled[2].points.iter_mut().for_each(|p| p[1] = -p[1]);
     assert!(compare(&pulled, None).unwrap_err().to_string().contains("push 2"));
 }
+
+/// Two pushes say little: their intervals are wide, but no sand is weaker than none, and no rig is stiffer than stiff.
+#[test]
+fn intervals_of_two_pushes_are_not_negative() {
+    let mut two: Vec<Penetration> = pushes(|z, _| 3e5 * z, 0.0).into_iter().take(2).collect();
+    two[1].points.iter_mut().for_each(|[z, force]| *force *= 2.0 * (*z / 0.03).powf(0.4));
+    let study = compare(&two, None).unwrap();
+    let [low, high] = study.sizes[0].zeta_interval.unwrap();
+    assert!(low == 0.0 && high > 2.0 * study.sizes[0].zeta, "{study:?}");
+    for value in [study.depth_exponent, study.compliance] {
+        assert!(value.interval[0] >= 0.0 && value.interval[1] >= value.value, "{value:?}");
+    }
+}

@@ -264,7 +264,11 @@ where
     T: OptionValue + Serialize + DeserializeOwned,
 {
     let refused = |e: serde_json::Error| match given {
-        Value::Null => Error::invalid(name, "null is not allowed"),
+        Value::Null => {
+            let said = in_words(&e.to_string());
+            let expected = said.rsplit_once("expected ").map_or("a value", |(_, expected)| expected);
+            Error::invalid(name, format!("null is not allowed, expected {expected}"))
+        }
         _ => {
             let message = e.to_string();
             unknown(name, &message, &T::names()).unwrap_or_else(|| Error::invalid(name, in_words(&message)))
@@ -309,7 +313,7 @@ mod tests {
             (json!([1]), "x: list, expected a number"),
             (json!({}), "x: dictionary, expected a number"),
             (json!(true), "x: boolean `true`, expected a number"),
-            (Value::Null, "x: null is not allowed"),
+            (Value::Null, "x: null is not allowed, expected a number"),
         ] {
             assert_eq!(changed("x", &1.0, &given).unwrap_err().to_string(), said);
         }
@@ -317,6 +321,8 @@ mod tests {
             changed("n", &1_u32, &json!(-3)).unwrap_err().to_string(),
             "n: number `-3`, expected a whole number from 0"
         );
+        let null = changed("hardware", &String::new(), &Value::Null).unwrap_err().to_string();
+        assert_eq!(null, "hardware: null is not allowed, expected a text");
         assert_eq!(changed("b", &true, &json!(3)).unwrap_err().to_string(), "b: number `3`, expected true or false");
     }
 

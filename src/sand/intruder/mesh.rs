@@ -22,10 +22,7 @@ const OPEN: f64 = 1e-3;
 
 /// The triangles of a file, without triangles of zero area.
 pub fn read(path: &Path) -> Result<Vec<Triangle>> {
-    if !std::fs::metadata(path).map_err(|e| Error::file(path, e))?.is_file() {
-        return Err(Error::file(path, "is no file"));
-    }
-    read_bytes(path, &sandgait_base::files::read(path, MOST_BYTES)?, MOST_TRIANGLES)
+    read_bytes(path, &sandgait_base::files::read_regular(path, MOST_BYTES)?, MOST_TRIANGLES)
 }
 
 /// The same as [`read`], from a file's `bytes`, with at most `most` triangles.

@@ -78,7 +78,8 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &TreePose) -> Vec<[[f
     frames.iter().zip(&loads).map(of_body).collect()
 }
 
-/// Accelerations in free flight under gravity (0, 0, −9.81), or that of the robot's file; armature, damping, friction and limits are left out.
+/// Accelerations in free flight under gravity (0, 0, −9.81), or that of the robot's file; springs, armature, damping, friction and limits are
+/// left out: add a spring's torque to `tau`.
 /// `pose` has as many joints as the tree.
 pub fn accelerations(tree: &Tree, pose: &TreePose) -> TreeAccelerations {
     accelerations_by::<f64>(tree, pose)
