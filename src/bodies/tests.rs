@@ -139,26 +139,29 @@ fn plates_of_a_given_size_are_those_of_intrude() {
 /// plates give the force of fine ones.
 #[test]
 fn faces_slide_along_themselves_as_in_intrude() {
-    let mut draw = numbers(4);
+    let (mut draw, made) = (numbers(4), [Some(SIZE), None].map(bodies));
+    let cut = SHAPES.map(|shape| PlatedBody::cut(&BodyShape::named(shape).unwrap(), Some(SIZE)).unwrap());
     for law in [Law::Li2013, Law::Agarwal2023] {
         let plain = sand(law).description().clone();
         let mechanisms = Mechanisms { sliding_face: 0.03, ..plain.mechanisms };
         let on = SandDescription { mechanisms, ..plain };
         let options = GroundOptions { rest_speed: Regularization::SOLID.rest_speed, ..Default::default() };
         let sand = SandGround::new(on.clone(), options).unwrap();
-        for _ in 0..10 {
+        for _ in 0..5 {
             let v = [0.3, 0.005 * draw(), 0.005 * draw()];
             let depth = 0.01 * draw();
-            let found = [Some(SIZE), None]
-                .map(|size| wrenches(&bodies(size), &sand, [0.3, -0.2, -depth], [1.0, 0.0, 0.0, 0.0], v, [0.0; 3]));
-            for (k, shape) in SHAPES.iter().enumerate() {
-                let body = PlatedBody::cut(&BodyShape::named(shape).unwrap(), Some(SIZE)).unwrap();
+            let place = [0.3, -0.2, -depth];
+            let found = [&made[0], &made[1]].map(|b| wrenches(b, &sand, place, [1.0, 0.0, 0.0, 0.0], v, [0.0; 3]));
+            for (k, body) in cut.iter().enumerate() {
                 let given = DepthOrLoad::Depth(depth - body.heights()[0]);
-                let expected = compute(&body, &on, &Trial { velocity: v, spin: [0.0; 3], given }).force;
+                let expected = compute(body, &on, &Trial { velocity: v, spin: [0.0; 3], given }).force;
                 let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-                for (found, within) in found.iter().zip([2e-3, 0.05]) {
-                    let off = (0..3).map(|i| (found[6 * k + i] - expected[i]).abs()).fold(0.0, f64::max);
-                    assert!(off <= within * size, "{law:?} {shape} {v:?}: {:?} {expected:?}", &found[6 * k..6 * k + 3]);
+                // In `agarwal2023` the mean over a vertical face's normals lies between the two sides of the law's jump there.
+                let coarse = if law == Law::Li2013 { 0.015 } else { 0.08 };
+                for (found, within) in found.iter().zip([2e-3, coarse]) {
+                    let found = &found[6 * k..6 * k + 3];
+                    let off = found.iter().zip(expected).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+                    assert!(off <= within * size, "{law:?} {} {v:?}: {found:?} {expected:?}", SHAPES[k]);
                 }
             }
         }
