@@ -8,7 +8,8 @@ use crate::sand::{Law, Regularization};
 use crate::sim::tree::eights::{EightPatches, eights};
 use crate::sim::tree::patches::{Ball, BodyPatches};
 use crate::sim::tree::{PLATE_SIZES, of_body, of_shapes};
-use std::sync::OnceLock;
+use std::collections::{HashSet, VecDeque};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Largest number of plates of all bodies: our choice, fifty shapes with as many plates as one may have. They take some
 /// 200 MB.
@@ -18,7 +19,7 @@ const MOST_TOGETHER: usize = 1_000_000;
 #[derive(Debug)]
 pub struct Bodies {
     names: Vec<String>,
-    bodies: Vec<CutBody>,
+    bodies: Vec<Arc<CutBody>>,
 }
 
 /// A body's plates. Without a plate size the law is evaluated once for each patch of plates, by the code of engine
@@ -46,12 +47,13 @@ impl Bodies {
         if let Some(size) = plate_size {
             check_range("plate_size", size, PLATE_SIZES)?;
         }
-        let (mut names, mut cut, mut plates) = (Vec::new(), Vec::new(), 0);
+        let (mut names, mut cut, mut plates) = (Vec::with_capacity(bodies.len()), Vec::new(), 0);
+        let mut before = HashSet::new();
         for (name, parts) in bodies {
-            if names.contains(&name) {
+            if !before.insert(name.clone()) {
                 return Err(Error::invalid("bodies", format!("{name:?} is given twice")));
             }
-            let body = CutBody::of(&name, &parts, plate_size)?;
+            let body = CutBody::equal_or_new(&name, parts, plate_size)?;
             plates += body.pieces.len();
             if plates > MOST_TOGETHER {
                 let reason = format!("the bodies have more than {MOST_TOGETHER} plates: take a larger plate_size");
@@ -80,7 +82,7 @@ impl Bodies {
         &self.bodies[index].pieces
     }
 
-    pub(crate) fn cut(&self) -> &[CutBody] {
+    pub(crate) fn cut(&self) -> &[Arc<CutBody>] {
         &self.bodies
     }
 
@@ -94,7 +96,35 @@ impl Bodies {
     }
 }
 
+/// Bodies that were cut before, the last one at the end. Users make thousands of equal ones, and to cut one takes a fifth of a
+/// second.
+static RECENT: Mutex<VecDeque<(Vec<BodyPart>, Arc<CutBody>)>> = Mutex::new(VecDeque::new());
+/// Largest number of bodies that are kept, and of plates of each: our choice; together they take some MB.
+const KEPT: usize = 16;
+const KEPT_PLATES: usize = 2048;
+
 impl CutBody {
+    /// A body of these parts, which is that of an equal body before if there was one.
+    fn equal_or_new(name: &str, parts: Vec<BodyPart>, size: Option<f64>) -> Result<Arc<Self>> {
+        if size.is_some() {
+            return Ok(Arc::new(Self::of(name, &parts, size)?));
+        }
+        // A thread that panicked has left whole entries.
+        let lock = || RECENT.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, body)) = lock().iter().rev().find(|(other, _)| *other == parts) {
+            return Ok(body.clone());
+        }
+        let body = Arc::new(Self::of(name, &parts, size)?);
+        if body.pieces.len() <= KEPT_PLATES {
+            let mut recent = lock();
+            recent.push_back((parts, body.clone()));
+            if recent.len() > KEPT {
+                recent.pop_front();
+            }
+        }
+        Ok(body)
+    }
+
     fn of(name: &str, parts: &[BodyPart], size: Option<f64>) -> Result<Self> {
         let solids: Vec<_> = parts.iter().filter_map(|p| p.solid(name)).collect();
         let thin: Vec<_> = parts.iter().map(|p| p.sheet(size)).collect::<Result<_>>()?;

@@ -35,13 +35,13 @@ const ALONG: f64 = 24.0;
 pub const UNIT: f64 = 1e-3;
 
 /// A shape at its place in a body's frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct BodyPart {
     kind: PartKind,
     origin: Isometry3<f64>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 enum PartKind {
     Solid(Geometry),
     /// A rectangle in the plane of x and y [m]. `thin`: sand acts on both faces; otherwise only on the upper face (+z).

@@ -225,3 +225,16 @@ fn meshes_have_the_bounds_of_other_shapes() {
         assert!(said.contains("foot") && said.contains("meshes are in metres"), "{said}");
     }
 }
+
+/// Users make thousands of equal bodies, one by one: each kind is cut once. Names do not matter, sizes and places do.
+#[test]
+fn equal_bodies_are_cut_once() {
+    let body = |name: &str, shape: &str, z: f64| {
+        let part = BodyPart::named(shape).unwrap().placed([0.0, 0.0, z], [1.0, 0.0, 0.0, 0.0]).unwrap();
+        Bodies::new(vec![(name.to_owned(), vec![part])], None).unwrap()
+    };
+    let first = body("a", "sphere:radius=0.0123", 0.0);
+    let same = |other: &Bodies| std::sync::Arc::ptr_eq(&first.cut()[0], &other.cut()[0]);
+    assert!(same(&body("b", "sphere:radius=0.0123", 0.0)));
+    assert!(!same(&body("a", "sphere:radius=0.0124", 0.0)) && !same(&body("a", "sphere:radius=0.0123", 0.1)));
+}

@@ -3,6 +3,7 @@
 use super::robot_check::StandingReport;
 use super::robot_json::{SandContacts, as_json, geometry, kind};
 use sandgait::env::options::RobotName;
+use sandgait::error::similar;
 use sandgait::robots::{self, Import, InertiaSource, Reading, states};
 use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::packed;
@@ -18,7 +19,8 @@ const PICTURE: [u32; 2] = [960, 720];
 /// Read a robot from a URDF, MJCF or TOML file, and print masses, joints, limits, and the shapes that touch sand.
 ///
 /// The list "warnings" has the parts of the file that the simulation leaves out. With --accelerations the command
-/// computes accelerations of the robot in free flight, for comparison with other programs.
+/// computes accelerations of the rigid bodies in free flight, for comparison with other programs: of the joints only the
+/// given torques act, without springs, armature, damping, friction and limits.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait robot go1.urdf
@@ -192,6 +194,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
     let reading = Reading { packages, inertia };
     let name = options.get("robot").and_then(Value::as_str).filter(|name| is_description(name)).map(str::to_owned);
     let Some(name) = name else {
+        check_known(options.get("robot").and_then(Value::as_str))?;
         let of_files = "is for a robot that is read from a file";
         return match (reading.packages.is_empty(), reading.inertia) {
             (false, _) => Err(Error::invalid("packages", of_files)),
@@ -207,6 +210,21 @@ pub fn read_option(options: &mut Value) -> Result<()> {
     }
     Ok(())
 }
+
+/// Refuses a misspelt name of a robot; the task knows only its own robots. Longer texts are robots themselves.
+fn check_known(robot: Option<&str>) -> Result<()> {
+    let own = [&[SANDCAT][..], &sim::Robot::names()].concat();
+    let named = robots::named::names();
+    let unknown =
+        |name: &&str| name.len() <= LONGEST_NAME && !name.contains(['.', '/', '=', ' ', '\n']) && !own.contains(name);
+    let Some(name) = robot.filter(unknown) else { return Ok(()) };
+    let all = [&own[..], &named].concat();
+    let meant = similar(name, &all).filter(|meant| named.contains(meant));
+    meant.map_or(Ok(()), |_| Err(Error::unknown("robot", name, &[&all[..], &["FILE.urdf", "FILE.xml"]].concat())))
+}
+
+/// Longest text that may be a robot's name [bytes]: our choice, longer than all of them and shorter than any packed robot.
+const LONGEST_NAME: usize = 60;
 
 /// The option `packages`: a folder, or a list of folders.
 fn packages(option: Option<Value>) -> Result<Vec<PathBuf>> {

@@ -228,7 +228,7 @@ impl JoinedWorld {
                 }
             };
             let changed = guard.batch().bytes_during(&operation);
-            if let Some(Err(error)) = changed.map(|bytes| guard.reserve(bytes)) {
+            if let Some(Err(error)) = changed.map(|bytes| guard.reserve(&operation.field(), bytes)) {
                 drop(guard);
                 let _ = sender.send(Err(error));
                 return;

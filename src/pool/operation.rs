@@ -30,6 +30,8 @@ pub struct ResetTasks {
     pub(super) all: Vec<Arc<dyn AnyTask>>,
     /// Index of each environment's task; None for environments that are not chosen.
     pub(super) of: Vec<Option<u32>>,
+    /// Names of the options that the reset changes.
+    pub(super) changed: Vec<String>,
 }
 
 impl ResetTasks {
@@ -90,6 +92,14 @@ impl Operation {
         match self {
             Self::Step { actions, held, .. } => Self::Step { actions, held, gather },
             other => other,
+        }
+    }
+
+    /// What the user gave that takes memory, for refusals: the options of a reset.
+    pub fn field(&self) -> String {
+        match self {
+            Self::Reset { tasks: Some(tasks), .. } if !tasks.changed.is_empty() => tasks.changed.join(", "),
+            other => other.name().to_owned(),
         }
     }
 

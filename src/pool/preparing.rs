@@ -61,7 +61,9 @@ impl Batch {
         };
         chosen.as_ref().map_or(Ok(()), |c| count("mask", c.len()))?;
         seeds.as_ref().map_or(Ok(()), |s| count("seeds", s.len()))?;
-        let tasks = ResetTasks { all: Vec::new(), of: Vec::new() };
+        let given = options.keywords().iter().filter(|(_, value)| !value.is_null());
+        let changed = given.map(|(name, _)| name.clone()).collect();
+        let tasks = ResetTasks { all: Vec::new(), of: Vec::new(), changed };
         let plan = ResetPlan { chosen, seeds, options, tasks, known: HashMap::new() };
         Ok(Preparing { plan: PreparationPlan::Reset(plan), next: 0, count: MemoryCount::default() })
     }

@@ -32,7 +32,7 @@ pub fn read(source: &SourceFile) -> Result<Vec<Triangle>> {
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
     let (text, _) = source.xml()?;
     let document = roxmltree::Document::parse_with_options(&text, options)
-        .map_err(|e| Error::file(&source.path, format!("no COLLADA: {e}")))?;
+        .map_err(|e| Error::file(&source.path, format!("no COLLADA: {e}; download or export it again")))?;
     let root = document.root_element();
     let ids = root.descendants().filter_map(|n| n.attribute("id").map(|id| (id, n)));
     let mut reader = ColladaReader { source, by_id: ids.collect(), places: 0, triangles: Vec::new() };

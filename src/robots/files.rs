@@ -12,6 +12,9 @@ pub use sandgait_base::files::MOST_TEXT;
 /// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
 pub const MOST_MESH: u64 = 64 << 20;
 
+/// The kinds of addresses that name files of the package or of this computer.
+const SCHEMES: [&str; 3] = ["package", "model", "file"];
+
 /// A file as it was read.
 pub struct SourceFile {
     pub path: PathBuf,
@@ -156,6 +159,12 @@ impl Files {
 
     fn find_named(&self, within: &str, name: &str) -> Result<PathBuf> {
         let [within, name] = [within, name].map(|text| text.replace('\\', "/"));
+        if let Some((scheme, _)) = name.split_once("://").filter(|(scheme, _)| !SCHEMES.contains(scheme)) {
+            let reason = format!(
+                "files are not read by {scheme}://: download the file into the robot's package, and write its path here"
+            );
+            return Err(Error::file(Path::new(&name), reason));
+        }
         if let Some(rest) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
             // Some files have three slashes.
             let rest = rest.trim_start_matches('/');

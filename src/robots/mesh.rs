@@ -69,7 +69,7 @@ impl Meshes {
             _ => return Err(Error::file(path, "meshes are read from .stl, .obj and .dae")),
         };
         if triangles.is_empty() {
-            return Err(Error::file(path, "no triangles"));
+            return Err(Error::file(path, "no triangles; export it again as triangles"));
         }
         // Our choice of the bound: it catches numbers that are no lengths, before the robot's file scales the mesh.
         if triangles.iter().flatten().flatten().any(|x| !x.is_finite() || x.abs() > 1e6) {

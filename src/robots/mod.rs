@@ -33,6 +33,7 @@ mod touch;
 mod urdf;
 mod xml;
 mod xml_bounds;
+mod xml_mended;
 
 pub use mesh::{Closed, closed};
 pub use packages::{InertiaSource, Reading};

@@ -6,7 +6,7 @@ use super::mesh::{MeshFile, Meshes};
 use super::mjcf;
 use super::notes::Notes;
 use super::shapes::collision_mesh;
-use super::xml::Element;
+use super::xml::{Element, QUOTED};
 use crate::error::{Error, Result};
 use crate::sim::tree::{Geometry, JointKind, Mimic, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
@@ -44,6 +44,7 @@ pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Not
             return Err(element.error("a second link of this name"));
         }
     }
+    check_open(root, &by_name)?;
     let joints = joints(root, &by_name)?;
     let mut order = ordered(root, &elements, &joints)?;
     let base_is_free = frees_base(&elements, &mut order)?;
@@ -106,6 +107,30 @@ fn frees_base(elements: &[&Element], order: &mut Vec<OrderedLink>) -> Result<boo
     Ok(true)
 }
 
+/// Refuses what closes a chain in other programs, as the reader of MJCF does: drake's `<loop_joint>`, and a `<joint>` of
+/// `<gazebo>` between two links of the robot. A joint to the world or to a body beside the robot is left out with a warning.
+fn check_open(root: &Element, by_name: &HashMap<&str, usize>) -> Result<()> {
+    let called = |joint: &Element, tag: &str| {
+        let end = joint.first(tag)?;
+        let name = end.get("link").unwrap_or(&end.text);
+        Some(name.rsplit("::").next().unwrap_or(name).to_owned())
+    };
+    // Of a text only the beginning is kept.
+    let is_link = |name: &String| by_name.keys().any(|link| link.chars().take(QUOTED).eq(name.chars().take(QUOTED)));
+    let loops = root.all("loop_joint").map(|joint| (joint, ["link1", "link2"].map(|tag| called(joint, tag))));
+    let of_gazebo = root.all("gazebo").flat_map(|section| section.all("joint"));
+    let of_gazebo = of_gazebo.map(|joint| (joint, ["parent", "child"].map(|tag| called(joint, tag))));
+    let of_gazebo = of_gazebo.filter(|(_, ends)| ends.iter().all(|end| end.as_ref().is_some_and(is_link)));
+    let Some((joint, ends)) = loops.chain(of_gazebo).next() else { return Ok(()) };
+    let between = match ends {
+        [Some(a), Some(b)] => format!(" between {a:?} and {b:?}"),
+        _ => String::new(),
+    };
+    Err(joint.error(format!(
+        "closes a chain{between}, which is not simulated: delete this element, and drive or fix the joints of one branch"
+    )))
+}
+
 fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<UrdfJoint<'a>>> {
     let mut names = HashMap::new();
     let mut joints: Vec<UrdfJoint> = Vec::new();
@@ -133,7 +158,10 @@ fn ordered<'a, 'b>(
     let mut children = vec![Vec::new(); elements.len()];
     for joint in joints {
         if carried[joint.child].replace(joint).is_some() {
-            return Err(joint.element.error("its child is carried by another joint already: a closed chain"));
+            return Err(joint.element.error(
+                "its child is carried by another joint already: a closed chain, which is not simulated; delete one of the two joints, \
+                 and drive or fix the joints of one branch",
+            ));
         }
         children[joint.parent].push(joint);
     }

@@ -1,7 +1,7 @@
 //! XML as elements with attributes. Size, number and depth are bounded, and every error names its line.
 
 use super::files::SourceFile;
-use super::xml_bounds;
+use super::{xml_bounds, xml_mended};
 use crate::error::{Error, Result};
 use std::path::Path;
 use std::sync::Arc;
@@ -11,8 +11,8 @@ use std::sync::Arc;
 const MOST_NODES: u32 = 200_000;
 /// Deepest nesting: our choice, a leg of twenty links is less than half of it.
 const DEEPEST: usize = 100;
-/// Largest number of characters of a malformed number in a message: our choice, so that the message stays readable.
-const QUOTED: usize = 40;
+/// Largest number of characters of a malformed number in a message, and of an element's text that is kept: our choice, so that the message stays readable.
+pub const QUOTED: usize = 40;
 
 /// An element. Of its text only the beginning is kept, because robots' own elements have none.
 #[derive(Clone, Debug)]
@@ -27,23 +27,71 @@ pub struct Element {
 }
 
 /// The root element of a file. Document types with entities are refused: no robot needs them, and entities can expand
-/// without bound. `say` gets a note on the file's encoding, if there is one.
-pub fn parse(source: &SourceFile, say: impl FnMut(String)) -> Result<Element> {
+/// without bound. A text that is not quite XML is read as MuJoCo and ROS read it. `say` gets a note on this, and on the file's
+/// encoding, if there is one.
+pub fn parse(source: &SourceFile, mut say: impl FnMut(String)) -> Result<Element> {
     let (text, note) = source.xml()?;
-    note.into_iter().for_each(say);
-    let text = &text[..];
-    xml_bounds::check(text).map_err(|reason| Error::file(&source.path, reason))?;
-    let allow_dtd = !text.contains("<!ENTITY");
-    let options = roxmltree::ParsingOptions { allow_dtd, nodes_limit: MOST_NODES, ..Default::default() };
-    let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| match e {
-        roxmltree::Error::NodesLimitReached => Error::file(&source.path, format!("more than {MOST_NODES} nodes")),
-        roxmltree::Error::DtdDetected => {
-            Error::file(&source.path, "a document type with entities (<!ENTITY …>) is not read")
+    note.into_iter().for_each(&mut say);
+    let failed = |reason: String| Error::file(&source.path, reason);
+    let strict = parsed(&text, source);
+    if !matches!(strict, Err(Unread::NoXml(..))) {
+        return strict.map_err(|e| failed(e.reason()));
+    }
+    let mended = xml_mended::mended(&text);
+    match (parsed(&mended, source), strict) {
+        (Ok(root), Err(Unread::NoXml(line, why))) => {
+            say(format!("line {line} is no XML ({why}); it was read as MuJoCo and ROS read it"));
+            Ok(root)
         }
-        other => Error::file(&source.path, format!("no XML: {}", shortened(&other.to_string(), 200))),
-    })?;
+        (result, _) => result.map_err(|e| failed(e.reason())),
+    }
+}
+
+/// Why a text is not read.
+enum Unread {
+    /// Its elements are wrong.
+    Wrong(Error),
+    /// Where it ends to be XML, and why.
+    NoXml(u32, String),
+    Other(String),
+}
+
+impl Unread {
+    fn reason(self) -> String {
+        match self {
+            Self::Wrong(Error::File { reason, .. }) | Self::Other(reason) => reason,
+            Self::Wrong(other) => other.to_string(),
+            Self::NoXml(line, why) => {
+                format!(
+                    "line {line}: no XML: {why}; mend it, or write the file again (`xmllint --noout FILE` lists all such places)"
+                )
+            }
+        }
+    }
+}
+
+fn parsed(text: &str, source: &SourceFile) -> std::result::Result<Element, Unread> {
+    xml_bounds::check(text).map_err(Unread::Other)?;
+    let entities = text.find("<!ENTITY");
+    let options =
+        roxmltree::ParsingOptions { allow_dtd: entities.is_none(), nodes_limit: MOST_NODES, ..Default::default() };
     let lines = LineStarts::of(text);
-    element(&document.root_element(), &Arc::from(source.path.as_path()), &lines, 1)
+    let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| match e {
+        roxmltree::Error::NodesLimitReached => Unread::Other(format!("more than {MOST_NODES} nodes")),
+        roxmltree::Error::DtdDetected => Unread::Other(format!(
+            "line {}: a document type with entities (<!ENTITY …>) is not read: write their values in their places (`xmllint \
+             --noent --dropdtd FILE`)",
+            lines.at(entities.unwrap_or(0))
+        )),
+        other => Unread::NoXml(place(&other, text), shortened(&other.to_string(), 200)),
+    })?;
+    element(&document.root_element(), &Arc::from(source.path.as_path()), &lines, 1).map_err(Unread::Wrong)
+}
+
+/// The line of an error. Of a text that ends too early it is the last one.
+fn place(error: &roxmltree::Error, text: &str) -> u32 {
+    let ends = matches!(error, roxmltree::Error::UnexpectedEndOfStream | roxmltree::Error::UnclosedRootNode);
+    if ends { text.lines().count().max(1) as u32 } else { error.pos().row }
 }
 
 fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &LineStarts, depth: usize) -> Result<Element> {

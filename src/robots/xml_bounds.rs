@@ -10,7 +10,7 @@ const MOST_NAME_SPACES: usize = 1000;
 const DEEPEST: usize = 200;
 
 /// Parts of a file in which `<` begins no tag.
-const SKIPPED: [[&str; 2]; 4] = [["<!--", "-->"], ["<![CDATA[", "]]>"], ["<?", "?>"], ["<!", ">"]];
+pub const SKIPPED: [[&str; 2]; 4] = [["<!--", "-->"], ["<![CDATA[", "]]>"], ["<?", "?>"], ["<!", ">"]];
 
 /// The reason why a text is not read, and its line. In a text that is no XML the counts may be wrong, but roxmltree ends
 /// at the first place that is no XML.
@@ -47,16 +47,16 @@ pub fn check(text: &str) -> Result<(), String> {
 
 /// What the text of a tag has, from its `<` to its `>`.
 #[derive(Default)]
-struct Tag {
+pub struct Tag {
     attributes: usize,
     spaces: usize,
     /// Does it end with `/>`?
     is_empty: bool,
-    length: usize,
+    pub length: usize,
 }
 
 impl Tag {
-    fn at(text: &str) -> Self {
+    pub fn at(text: &str) -> Self {
         let (mut tag, mut at) = (Self::default(), 1);
         // Values have quotes, and may contain `>`.
         while let Some(found) = text[at..].find(['"', '\'', '>']).map(|k| at + k) {

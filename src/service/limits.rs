@@ -103,13 +103,13 @@ pub fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
 }
 
 impl Reservation {
-    /// Reserves `memory` bytes in place of what was reserved before.
-    pub fn set(&mut self, memory: usize) -> Result<()> {
+    /// Reserves `memory` bytes for `field` in place of what was reserved before.
+    pub fn set(&mut self, field: &str, memory: usize) -> Result<()> {
         let mut usage = self.usage.lock();
         let others = usage.memory - self.memory;
         // A smaller reservation is always possible.
         if memory > self.memory {
-            fits("models", memory - self.memory, self.most.saturating_sub(usage.memory))?;
+            fits(field, memory - self.memory, self.most.saturating_sub(usage.memory))?;
         }
         usage.memory = others + memory;
         self.memory = memory;

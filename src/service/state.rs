@@ -254,7 +254,7 @@ fn adopt(saved: SessionFile, sessions: &Sessions, pool: &Pool) -> Result<String>
     if let Some(snapshot) = snapshot {
         let operation = environments.batch.restore(Snapshot::from_bytes(&snapshot, &sessions.seal)?, None)?;
         environments.batch = pool.wait(environments.batch, operation)?;
-        environments.books.reservation.set(environments.batch.bytes())?;
+        environments.books.reservation.set("options", environments.batch.bytes())?;
     }
     environments.books.done = LastAnswer { sequence, answer };
     let name = name(&id);

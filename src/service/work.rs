@@ -64,7 +64,7 @@ impl SessionWork {
     pub fn run(mut self, operation: Operation, pool: &Pool) {
         let changed = self.batch().bytes_during(&operation);
         if let Some(bytes) = changed
-            && let Err(error) = self.guard.reserve(bytes)
+            && let Err(error) = self.guard.reserve(&operation.field(), bytes)
         {
             return self.refuse(&error);
         }

@@ -26,7 +26,8 @@ impl Mirror {
         };
         let legged = LeggedMirror::of(robot, model.joint_names())?;
         if legged.clock.is_none() && spec.observation.iter().any(|column| CLOCK.contains(&&*column.name)) {
-            let reason = "it mixes the two groups of legs that step in turn, so the phase of their steps has no mirror image";
+            let reason =
+                "it mixes the two groups of legs that step in turn, so the phase of their steps has no mirror image";
             return Err(refused(reason));
         }
         let of_name = |name: &str| legged.image(name);

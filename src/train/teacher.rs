@@ -64,10 +64,14 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     }
     let mut rewards = options["rewards"].as_object().cloned().unwrap_or_default();
     rewards.retain(|_, weight| !weight.is_null());
+    let mut kept_weights = Vec::new();
     let weaker = match kept["rewards"].as_object() {
         Some(old) => {
             for (name, weight) in old {
-                rewards.entry(name).or_insert_with(|| weight.clone());
+                if !rewards.contains_key(name) {
+                    rewards.insert(name.clone(), weight.clone());
+                    kept_weights.push(format!("{name} {weight}"));
+                }
             }
             Vec::new()
         }
@@ -80,7 +84,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         }
     };
     options["rewards"] = Value::Object(rewards);
-    Ok(Suited { speeds, weaker })
+    Ok(Suited { speeds, weaker, kept: kept_weights })
 }
 
 /// What [`suit`] has changed.
@@ -90,6 +94,8 @@ pub struct Suited {
     speeds: bool,
     /// Terms of the reward that became weaker, with their weights.
     weaker: Vec<(&'static str, f64)>,
+    /// Terms whose weights are those of the training that goes on, with these.
+    kept: Vec<String>,
 }
 
 /// Terms of the reward by which the plain gait loses more than [`DEAR`] when it walks forward, and the weights with which it
@@ -174,6 +180,9 @@ impl Teacher {
         };
         let weaker: Vec<String> = suited.weaker.iter().map(|(name, weight)| format!("{name} {weight}")).collect();
         let weaker = match &weaker[..] {
+            [] if !suited.kept.is_empty() => {
+                format!("; reward weights are those with which the training began: {}", suited.kept.join(", "))
+            }
             [] => String::new(),
             all => format!(
                 "; reward terms are weaker by which the plain gait would lose more than a third of what following earns: {}",

@@ -258,7 +258,7 @@ async fn models_made_by_resets_are_counted() {
     };
     println!("{made} models of {envs} environments in 16 MiB");
     assert_eq!(refused.code, i32::from(Code::ResourceExhausted));
-    assert!(refused.message.contains("models: needs about"), "{}", refused.message);
+    assert!(refused.message.contains("slope_deg: needs about"), "{}", refused.message);
     session.step(0).await;
     // The memory is free again soon after the session's end: the server drops environments on another thread.
     let close = CloseSessionRequest { session_id: session.id.clone() };

@@ -1,12 +1,21 @@
 //! `<equality>`: joints that follow others. Other equalities would close a loop of bodies, and a tree has no loops.
 
 use crate::error::{Error, Result};
+use crate::notes::Notes;
 use crate::sim::tree::{Mimic, Tree};
 use crate::xml::Element;
 
-/// The equalities that are not switched off.
+/// The equalities that are not switched off, each by itself or all by the options.
 fn active(root: &Element) -> impl Iterator<Item = &Element> {
-    root.all("equality").flat_map(|section| &section.children).filter(|e| e.get("active") != Some("false"))
+    let sections = root.all("equality").filter(|_| !are_off(root));
+    sections.flat_map(|section| &section.children).filter(|e| e.get("active") != Some("false"))
+}
+
+/// Does an option switch off all equalities, as MuJoCo reads it?
+fn are_off(root: &Element) -> bool {
+    let flags = root.all("option").flat_map(|option| option.all("flag"));
+    let off = |flag: &Element| ["equality", "constraint"].iter().any(|name| flag.get(name) == Some("disable"));
+    flags.into_iter().any(off)
 }
 
 /// Refuses equalities that are not between joints. This comes before the bodies are read: rods that close a chain often
@@ -14,7 +23,10 @@ fn active(root: &Element) -> impl Iterator<Item = &Element> {
 ///
 /// # Errors
 /// Names the bodies, and how many other equalities there are.
-pub fn check(root: &Element) -> Result<()> {
+pub fn check(root: &Element, notes: &mut Notes) -> Result<()> {
+    if are_off(root) && root.all("equality").any(|section| !section.children.is_empty()) {
+        notes.say("the file's <flag> switches its equalities off, as in MuJoCo: joints do not follow others, and no chain is closed");
+    }
     let mut others = active(root).filter(|e| e.tag != "joint");
     others.next().map_or(Ok(()), |first| Err(refusal(first, others.count())))
 }

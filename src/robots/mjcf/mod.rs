@@ -58,7 +58,7 @@ pub fn robot(
     }
     let paired: HashSet<String> = root.all("contact").flat_map(|section| section.all("pair")).flat_map(ends).collect();
     collide(&mut root, &paired);
-    equality::check(&root)?;
+    equality::check(&root, notes)?;
     let compiler = Compiler::read(&root, notes)?;
     let defaults = Defaults::read(&root)?;
     let mut reader = geom::GeomReader { compiler: &compiler, files, meshes, notes };
@@ -106,7 +106,7 @@ pub fn gravity(root: &Element, notes: &mut Notes) -> Result<Option<f64>> {
             found = Some(-z).filter(|g| !EARTH.contains(g));
         }
         for flag in option.all("flag") {
-            notes.others(flag, &["gravity"]);
+            notes.others(flag, &["gravity", "equality"]);
             if flag.get("gravity") == Some("disable") {
                 return Err(flag.wrong("gravity", "is switched off: a robot cannot walk without it"));
             }

@@ -42,8 +42,12 @@ fn what_other_programs_read_in_a_urdf_is_named() {
             gazebo("<collision><surface><friction><ode><mu>0.2</mu></ode></friction></surface></collision>"),
             "friction",
         ),
-        ("", gazebo(r#"<joint name="loop" type="ball"/>"#), "closes a chain"),
-        ("", r#"<loop_joint name="loop" type="revolute"/>"#.to_owned(), "closes a chain"),
+        (
+            "",
+            r#"<gazebo><joint name="held" type="fixed"><parent>world</parent><child>leg</child></joint></gazebo>"#
+                .into(),
+            "joins the robot to other bodies",
+        ),
         ("", r#"<mujoco><compiler balanceinertia="true"/></mujoco>"#.to_owned(), "inertias"),
         (soft, String::new(), "limits the joint"),
     ] {

@@ -151,6 +151,36 @@ fn refused_equalities_name_their_kind_and_both_ends() {
     assert!(connects.contains("closes a chain between \"a\" and \"b\""), "{connects}");
 }
 
+/// MuJoCo ignores all equalities if an option switches them off: `active` of each does not count then.
+#[test]
+fn an_option_switches_equalities_off() {
+    let body = r#"<body name="base"><freejoint/><geom size="0.1"/></body>"#;
+    let weld = r#"<equality><weld body1="base"/></equality>"#;
+    for flag in ["equality", "constraint"] {
+        let with = |value: &str| mjcf(body, &format!(r#"<option><flag {flag}="{value}"/></option>{weld}"#));
+        assert!(refused("r.xml", &with("enable")).contains("<weld>"));
+        let import = read("r.xml", &with("disable")).unwrap();
+        assert!(import.warnings.iter().any(|w| w.contains("switches its equalities off")), "{:?}", import.warnings);
+    }
+}
+
+/// A chain that a URDF closes for other programs is refused as one of MJCF is; so no robot walks with a leg that hangs loose.
+#[test]
+fn chains_that_a_urdf_closes_are_refused() {
+    let gazebo = |parent: &str| {
+        format!(
+            r#"<gazebo><joint name="j" type="ball"><parent>{parent}</parent><child>r::base</child></joint></gazebo>"#
+        )
+    };
+    let drake = r#"<loop_joint name="j" type="ball"><link1 link="a"/><link2 link="b"/></loop_joint>"#.to_owned();
+    for (closing, ends) in [(drake, "\"a\" and \"b\""), (gazebo("leg"), "\"leg\" and \"base\"")] {
+        let said = refused("r.urdf", &urdf("", &closing));
+        assert!(said.contains("line ") && said.contains("closes a chain between") && said.contains(ends), "{said}");
+        assert!(said.contains("delete this element"), "{said}");
+    }
+    read("r.urdf", &urdf("", &gazebo("world"))).unwrap();
+}
+
 /// A hint names what there is in the file: there may be no body that is the base.
 #[test]
 fn bodies_without_a_free_joint_are_counted() {

@@ -63,6 +63,52 @@ fn texts_of_other_programs_are_read() {
     assert!(cut.err().unwrap().contains("EUC-KR"));
 }
 
+/// A mesh in the web, and meshes that are none, are refused with the cause and what to do.
+#[test]
+fn refused_meshes_say_what_to_do() {
+    let root = tempfile::tempdir().unwrap();
+    for (name, content, words) in [
+        ("https://example.org/foot.stl", "", &["https://", "download the file into the robot's package"][..]),
+        ("a.obj", "v 0 0\nf 1 2 3\n", &["no OBJ", "again"]),
+        ("b.obj", "v 0 0 0\nf 1 2 3\n", &["OBJ", "again"]),
+        ("c.dae", "<COLLADA>", &["no COLLADA", "again"]),
+        ("d.stl", "solid a\nfacet normal 0 0 1\nouter loup\nendsolid a\n", &["no STL", "again"]),
+        ("e.obj", "# nothing\n", &["no triangles", "again"]),
+    ] {
+        if !name.contains(':') {
+            write(root.path().join(name), content).unwrap();
+        }
+        let said = read_at(root.path(), "r.urdf", with_mesh(name)).err().unwrap();
+        assert!(words.iter().all(|word| said.contains(word)) && !said.contains('\n'), "{name}: {said}");
+    }
+}
+
+/// MuJoCo and ROS read texts that are not quite XML; so do we, and say so. What they do not read is refused with its line.
+#[test]
+fn texts_that_are_not_quite_xml_are_read() {
+    let root = tempfile::tempdir().unwrap();
+    let link = |inner: &str| format!("<robot name=\"r\">\n<link name=\"base\">{SOLID}{inner}</link></robot>");
+    for (inner, line) in [
+        (r#"<visual name="a"group="1"><geometry><sphere radius="1"/></geometry></visual>"#, 2),
+        ("<!-- a -- b -->", 2),
+        ("\n<visual name=\"a & b\"><geometry><sphere radius=\"1\"/></geometry></visual>", 3),
+        ("<visual>&nbsp;<geometry><sphere radius=\"1\"/></geometry></visual>", 2),
+    ] {
+        let import = read_at(root.path(), "r.urdf", link(inner)).unwrap_or_else(|e| panic!("{inner}: {e}"));
+        let said = &import.warnings[0];
+        assert!(said.starts_with(&format!("line {line} is no XML (")) && said.contains("MuJoCo"), "{inner}: {said}");
+    }
+    let cut = link("");
+    for (text, words) in [
+        (&cut[..cut.len() - 8], "line 2: no XML"),
+        (&link("<a></b>")[..], "line 2: no XML: expected 'a' tag, not 'b'"),
+        ("\n<!DOCTYPE robot [\n<!ENTITY m \"6\">]><robot/>", "line 3: a document type with entities"),
+    ] {
+        let said = read_at(root.path(), "r.urdf", text).err().unwrap();
+        assert!(said.contains(words) && said.contains("xmllint") && !said.contains('\n'), "{said}");
+    }
+}
+
 /// Meshes beside the folder of the description, whatever that folder is called; not beyond two levels without a checkout,
 /// and never outside of a checkout.
 #[test]

@@ -107,6 +107,59 @@ fn the_roots_frame_does_not_matter() {
     }
 }
 
+/// A root's frame may be turned: a robot whose front is along y, or anywhere, stands with its knees bent all the same.
+#[test]
+fn the_roots_direction_does_not_matter() {
+    let plain = include_str!("../../../robots/sandcat.urdf");
+    let angles = |yaw: f64| {
+        let root = format!(
+            r#"<link name="turned"/><joint name="turn" type="fixed"><parent link="turned"/><child link="trunk"/><origin xyz="0 0 0" rpy="0 0 {yaw}"/></joint></robot>"#
+        );
+        read("r.urdf", &plain.replace("</robot>", &root)).stance.angles
+    };
+    let own = angles(0.0);
+    assert!(own[2] < -1.0, "{own:?}");
+    for degrees in [80.0_f64, 90.0, -90.0, 91.0, 180.0] {
+        let found = angles(degrees.to_radians());
+        let off = found.iter().zip(&own).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-3, "{degrees}: {found:?} {own:?}");
+    }
+}
+
+/// A robot that a fast motion of its joints throws over says nothing of the time step that it needs. It moves less then, and the
+/// step does not change with a little more stiffness or less weight.
+#[test]
+fn the_needed_step_is_no_accident() {
+    let mut legs = String::new();
+    for (name, x, y) in [("a", 0.15, 0.1), ("b", 0.15, -0.1), ("c", -0.15, 0.1), ("d", -0.15, -0.1)] {
+        legs += &format!(
+            r#"<body pos="{x} {y} 0"><joint name="{name}_hip" axis="0 1 0" range="-60 60"/>
+            <geom type="capsule" fromto="0 0 0 0 0 -.15" size=".015" mass=".2"/><body pos="0 0 -.15">
+            <joint name="{name}_knee" axis="0 1 0" range="-120 0"/><geom type="capsule" fromto="0 0 0 0 0 -.15" size=".012" mass=".1"/></body></body>"#
+        );
+    }
+    let joints = ["a", "b", "c", "d"].iter().flat_map(|leg| ["hip", "knee"].map(|joint| format!("{leg}_{joint}")));
+    let joints: Vec<String> = joints.collect();
+    let robot = |kp: f64, gravity: f64| {
+        let motor = |joint: &String| format!(r#"<position joint="{joint}" kp="{kp}" dampratio="1"/>"#);
+        let motors: String = joints.iter().map(motor).collect();
+        let pose = "0.6 -1.2 ".repeat(4);
+        read(
+            "r.xml",
+            &format!(
+                r#"<mujoco><option gravity="0 0 -{gravity}"/><worldbody><body><freejoint/><geom type="box" size=".2 .1 .04" mass="3"/>{legs}</body></worldbody>
+                <actuator>{motors}</actuator><keyframe><key name="home" qpos="0 0 .26 1 0 0 0 {pose}"/></keyframe></mujoco>"#
+            ),
+        )
+    };
+    let needed = |import: Import| standing::needed_step(|dt| Ok(model(&import, dt))).unwrap();
+    let own = needed(robot(60.0, 9.81));
+    assert!(own.is_some());
+    for (kp, gravity) in [(72.0, 9.81), (60.0, 5.0)] {
+        assert_eq!(needed(robot(kp, gravity)), own, "{kp} {gravity}");
+    }
+}
+
 /// A root's frame far beside the body is replaced, too, and of two frames below the body the one in it is taken.
 #[test]
 fn the_base_is_in_the_body() {

@@ -17,6 +17,8 @@ const MOST_TRIANGLES: usize = 1_000_000;
 const MOST_BYTES: u64 = 300 << 20;
 /// Bytes before the triangles of a binary STL: a header of 80, and their number.
 const BINARY_HEAD: u64 = 84;
+/// What to do with a file that is no mesh.
+const AGAIN: &str = "download it again, or export it again as triangles";
 /// |Σ n A|/Σ A above which a surface is not closed: our choice, far above the rounding of STL's single precision.
 const OPEN: f64 = 1e-3;
 
@@ -31,7 +33,7 @@ pub fn read_bytes(path: &Path, bytes: &[u8], most: usize) -> Result<Vec<Triangle
 }
 
 fn some(path: &Path, triangles: Vec<Triangle>) -> Result<Vec<Triangle>> {
-    if triangles.is_empty() { Err(Error::file(path, "no triangles")) } else { Ok(triangles) }
+    if triangles.is_empty() { Err(Error::file(path, format!("no triangles; {AGAIN}"))) } else { Ok(triangles) }
 }
 
 /// Reads the triangles in `bytes`, STL or OBJ by the ending of `path`, at most `most`.
@@ -54,7 +56,7 @@ fn too_many(path: &Path, most: usize) -> Error {
 }
 
 fn read_stl(path: &Path, mut reader: impl BufRead + Seek, most: usize) -> Result<Vec<Triangle>> {
-    let failed = |e| Error::file(path, e);
+    let failed = |e: std::io::Error| Error::file(path, format!("no STL, or it ends early: {e}; {AGAIN}"));
     if let Some(count) = binary_count(&mut reader).map_err(failed)? {
         return if count > most { Err(too_many(path, most)) } else { read_binary_stl(reader, count).map_err(failed) };
     }
@@ -105,7 +107,8 @@ fn read_obj(path: &Path, mut reader: impl BufRead, most: usize) -> Result<Vec<Tr
         tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
     // Colours are not needed, so no material file is opened.
     let no_materials = |_: &Path| Ok(Default::default());
-    let (models, _) = tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|e| Error::file(path, e))?;
+    let (models, _) = tobj::load_obj_buf(&mut reader, &options, no_materials)
+        .map_err(|e| Error::file(path, format!("no OBJ, or it ends early: {e}; {AGAIN}")))?;
     let mut triangles = Vec::new();
     for mesh in models.iter().map(|m| &m.mesh) {
         if triangles.len() + mesh.indices.len() / 3 > most {
@@ -116,7 +119,10 @@ fn read_obj(path: &Path, mut reader: impl BufRead, most: usize) -> Result<Vec<Tr
                 let start = 3 * index as usize;
                 mesh.positions.get(start..start + 3).map(|p| point([p[0], p[1], p[2]]))
             };
-            let corner = |k: usize| place(corners[k]).ok_or_else(|| Error::file(path, "a face names no vertex"));
+            let corner = |k: usize| {
+                place(corners[k])
+                    .ok_or_else(|| Error::file(path, format!("a face names a vertex that is not there; {AGAIN}")))
+            };
             triangles.push([corner(0)?, corner(1)?, corner(2)?]);
         }
     }

@@ -50,11 +50,12 @@ impl SessionGuard {
         self.batch = Some(batch);
     }
 
-    /// Reserves `bytes` for the environments while an operation changes their tasks.
-    pub fn reserve(&mut self, bytes: usize) -> Result<()> {
+    /// Reserves `bytes` for the environments while an operation changes their tasks. `field`: what the user gave, for the
+    /// refusal.
+    pub fn reserve(&mut self, field: &str, bytes: usize) -> Result<()> {
         match &mut self.books {
             // Before the operation the environments still have what is reserved now.
-            Some(books) => books.reservation.set(bytes.max(books.reservation.memory)),
+            Some(books) => books.reservation.set(field, bytes.max(books.reservation.memory)),
             None => Ok(()),
         }
     }
@@ -63,7 +64,7 @@ impl SessionGuard {
     pub fn release(&mut self) {
         if let (Some(books), Some(batch)) = (&mut self.books, &self.batch) {
             // This is not more than was reserved, so it is always possible.
-            let _ = books.reservation.set(batch.bytes());
+            let _ = books.reservation.set("options", batch.bytes());
         }
     }
 

@@ -97,7 +97,7 @@ impl Stance {
         let angles = known.unwrap_or_else(|| {
             let search = Search::of(tree, contacts, &limbs);
             let start = search.joints.preferred.clone();
-            even(tree, contacts, &start, search.pose(&limbs))
+            even(tree, contacts, &limbs, &start, search.pose(&limbs))
         });
         Self::with(tree, contacts, &limbs, angles)
     }
@@ -150,13 +150,14 @@ impl Stance {
 }
 
 /// The pose that was found, or its mean with its mirror image if the robot is symmetric at `start` and not in this pose: one
-/// mesh for the legs of both sides turns all of them the same way.
-fn even(tree: &Tree, contacts: &[Vec<ContactPoint>], start: &[f64], found: Vec<f64>) -> Vec<f64> {
+/// mesh for the legs of both sides turns all of them the same way. The feet stay as high. Straight legs whose knees bend
+/// across the mirror look symmetric, too, as those of a robot whose file has its front along y; their mean would not bend.
+fn even(tree: &Tree, contacts: &[Vec<ContactPoint>], limbs: &[Limb], start: &[f64], found: Vec<f64>) -> Vec<f64> {
     let at = |angles: &[f64]| Symmetry::at(tree, contacts, angles, Sides::LeftRight).ok();
-    match at(start).filter(|_| at(&found).is_none()) {
-        Some(symmetry) => symmetry.evened(start, &found),
-        None => found,
-    }
+    let Some(symmetry) = at(start).filter(|_| at(&found).is_none()) else { return found };
+    let evened = symmetry.evened(start, &found);
+    let risen = |l: &Limb| (l.tip(tree, contacts, &evened).z - l.tip(tree, contacts, &found).z).abs();
+    if limbs.iter().all(|l| risen(l) < NEAR * l.length) { evened } else { found }
 }
 
 /// Is `body` between the limb `of` and its further end `end`?
