@@ -121,10 +121,7 @@ pub fn headline(r: &Report) -> String {
             let sets = r.ambiguity_set.iter().take(2);
             let all = sets.map(|ids| ids.iter().map(|id| phrase(id)).collect::<Vec<_>>().join(" with "));
             let names = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect::<Vec<_>>().join(" or ");
-            // If all explanations have one name, they differ in the channel or the shape.
-            let alike = r.ambiguity_set.len() == 1 && r.causes.iter().any(|c| c.of.is_some());
-            let tell = if alike { "cannot tell of which channel or shape" } else { "cannot tell" };
-            clauses.push(format!("{}: these data {tell}", all.collect::<Vec<_>>().join(", or ")));
+            clauses.push(format!("{}: these data cannot tell", all.collect::<Vec<_>>().join(", or ")));
             clauses.push(names);
         }
         Verdict::Described => {

@@ -66,12 +66,12 @@ impl Selection {
 
     /// Ids of what a row names; a law has none.
     pub fn ids(&self, row: usize) -> Vec<String> {
-        let nuisances = self.fits.nuisances(row);
-        let id = |effect: &Effect| match effect {
-            Effect::Mechanism(id) => CATALOG[*id].id.to_string(),
-            Effect::Measuring(k) => super::measured::answer(&nuisances[*k]).to_string(),
-        };
-        self.entries[row].effects.iter().map(id).collect()
+        ids(&self.fits, &self.entries, row)
+    }
+
+    /// Is one effect of measuring named that may be that of several channels or shapes?
+    pub fn is_of_several(&self) -> bool {
+        self.ruling.verdict == Verdict::Named && self.ruling.set.len() > 1
     }
 
     /// Ids of what a row names, or the formula of its law.
@@ -228,7 +228,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
             withheld.push((row, failed));
         }
     }
-    let mut ruling = verdict(entries, tested);
+    let mut ruling = with_one_name(verdict(entries, tested), fits, entries);
     // Sand of another strength is a recalibration with one factor, so the same test holds for both.
     let factor = ruling.verdict == Verdict::Named && is_strength(&entries[ruling.model].effects);
     if (factor || ruling.verdict == Verdict::Recalibrated)
@@ -263,6 +263,27 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         }
     }
     Judged { ruling, standing, withheld, nested: predicted }
+}
+
+/// Ids of what a row names; a law has none.
+fn ids(fits: &Fits, entries: &[Compared], row: usize) -> Vec<String> {
+    let nuisances = fits.nuisances(row);
+    let id = |effect: &Effect| match effect {
+        Effect::Mechanism(id) => CATALOG[*id].id.to_string(),
+        Effect::Measuring(k) => super::measured::answer(&nuisances[*k]).to_string(),
+    };
+    entries[row].effects.iter().map(id).collect()
+}
+
+/// Explanations of one name differ only in the channel or the shape, so the name is certain.
+fn with_one_name(mut ruling: Ruling, fits: &Fits, entries: &[Compared]) -> Ruling {
+    let mut names = ruling.set.iter().map(|&row| ids(fits, entries, row));
+    let first = names.next().filter(|own| own.len() == 1);
+    let same = ruling.set.len() > 1 && first.is_some_and(|first| names.all(|own| own == first));
+    if same && ruling.verdict == Verdict::Ambiguous && !ruling.set.iter().any(|&row| entries[row].unnamed) {
+        ruling.verdict = Verdict::Named;
+    }
+    ruling
 }
 
 /// Is sand of another strength the only effect?

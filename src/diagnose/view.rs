@@ -159,6 +159,8 @@ impl ReportView<'_> {
     fn warnings(&self, causes: &[Cause]) -> Vec<String> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
+        let of_several = "these data cannot tell of which channel or shape; the one that predicts best is written";
+        warnings.extend(self.selection.is_of_several().then(|| of_several.to_string()));
         let own = &self.selection.standing;
         warnings.extend(far_coefficients(&own.fit));
         let nuisances = own.nuisances.iter();
