@@ -24,9 +24,6 @@ const NOISES: usize = 3;
 /// Number of candidates with one cause, and of pairs, that are fitted with the final noise and compared: our choice,
 /// because the χ² of the others is usually larger by hundreds.
 const FINALISTS: usize = 8;
-/// An effect of measuring gives the noise if its objective is less than this share of the leading candidate's: our choice; the noise
-/// hardly changes for less.
-const FAR_BETTER: f64 = 0.9;
 /// A minimum is another one if its objective is less by this: our choice, far above that at which fits end.
 const BELOW: f64 = 1.0;
 /// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first
@@ -224,7 +221,7 @@ impl Candidates {
     /// rough model, which would take many simulations.
     fn about_measured(&mut self, study: &FitInputs, asked: &SearchSpace, may_be_far: bool) -> Option<Surroundings> {
         let best = self.measured.iter().min_by(|a, b| a.fit.objective.total_cmp(&b.fit.objective))?;
-        let far = may_be_far && best.fit.objective < FAR_BETTER * self.best().objective;
+        let far = may_be_far && best.fit.objective < measured::FAR_BETTER * self.best().objective;
         let inside = self.measured.iter().filter_map(|own| own.within_stated().map(|objective| (objective, own)));
         let inside = inside.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|own| own.0 < self.base.objective - BELOW);
         let start = inside.map_or(best, |own| own.1);
