@@ -24,8 +24,9 @@ const NOISES: usize = 3;
 /// Number of candidates with one cause, and of pairs, that are fitted with the final noise and compared: our choice,
 /// because the χ² of the others is usually larger by hundreds.
 const FINALISTS: usize = 8;
-/// A minimum is another one if its objective is less by this: our choice, far above that at which fits end.
-const BELOW: f64 = 1.0;
+/// An effect of measuring gives the noise if its objective is less than this share of the leading candidate's: our choice; the noise
+/// hardly changes for less.
+const FAR_BETTER: f64 = 0.9;
 /// Share of a pair's evidence that its second cause must add: our choice. A weaker second cause beside a very strong first
 /// cause may only describe a small error in the law of the first cause.
 pub const SECOND: f64 = 0.01;
@@ -122,15 +123,14 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     let mut renewed = around.about(study);
     found.leading = self::leading(&renewed, &found.base, &found.fits);
     found.measured = measured::measured(&renewed, &found.base);
-    for round in 0..NOISES {
-        let Some(next) = found.about_measured(&renewed, asked, round == 0) else { break };
+    if let Some(next) = found.about_measured(&renewed, asked) {
         drop(renewed);
         around = next;
         renewed = around.about(study);
         found.around = around.clone();
         found.refit(&renewed);
         found.leading = self::leading(&renewed, &found.base, &found.fits);
-        found.measured = measured::again(&renewed, &found.measured);
+        found.measured = measured::measured(&renewed, &found.base);
     }
     found.stated = plain_fit(&renewed, &found.base);
     found.absent = measured::absent(&renewed, &found.base, &found.measured);
@@ -215,28 +215,17 @@ impl Candidates {
         }
     }
 
-    /// Noise and nuisances about an effect of measuring, with the base begun there. If the best one fits far better than the leading
-    /// candidate, the noise is learnt about it: where a model is wrong by much more than noise, the noise about it is wrong, too. If one
-    /// has a state of the base with a lower objective, the base has ended in a local minimum. None if neither is the case, and for a
-    /// rough model, which would take many simulations.
-    fn about_measured(&mut self, study: &FitInputs, asked: &SearchSpace, may_be_far: bool) -> Option<Surroundings> {
+    /// Noise about the effect of measuring that fits best, if this fits far better than the leading candidate: where a model is wrong by
+    /// much more than noise, the noise about it is wrong, too. None for a rough model, which would take many simulations.
+    fn about_measured(&self, study: &FitInputs, asked: &SearchSpace) -> Option<Surroundings> {
         let best = self.measured.iter().min_by(|a, b| a.fit.objective.total_cmp(&b.fit.objective))?;
-        let far = may_be_far && best.fit.objective < measured::FAR_BETTER * self.best().objective;
-        let inside = self.measured.iter().filter_map(|own| own.within_stated().map(|objective| (objective, own)));
-        let inside = inside.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|own| own.0 < self.base.objective - BELOW);
-        let start = inside.map_or(best, |own| own.1);
-        if study.model.roughness().is_some() || !(far || inside.is_some()) {
-            return None;
-        }
-        let (noise, sizes, whitener) = match far {
-            true => noise_about(&study.with_nuisances(best.nuisances.clone()), asked, &best.fit),
-            false => (self.around.noise.clone(), self.around.sizes.clone(), self.around.whitener.clone()),
-        };
-        let (nuisances, from) = start.as_stated();
-        let MeasuredFit { fit, nuisances } =
-            measured::adjusted(study.under(&whitener, nuisances), &start.fit, &from, f64::INFINITY);
-        self.base = fit;
-        Some(Surroundings { noise, sizes, whitener, nuisances })
+        let better = best.fit.objective < FAR_BETTER * self.best().objective;
+        (better && study.model.roughness().is_none()).then(|| {
+            let own = study.with_nuisances(best.nuisances.clone());
+            let (noise, sizes, whitener) = noise_about(&own, asked, &best.fit);
+            let nuisances = bent(study, &whitener, &self.base);
+            Surroundings { noise, sizes, whitener, nuisances }
+        })
     }
 
     /// Repeats all fits, each from its end state.

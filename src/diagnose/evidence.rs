@@ -38,8 +38,7 @@
 //! 2020).
 
 use super::differences::{NORMAL, SumPart, summed};
-use super::fit::{COEFFICIENTS, Fit, Stack};
-use super::gauss_newton::MOST_DEVIATION;
+use super::fit::{Fit, Stack};
 use super::left_out::{Contender, LawColumn, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
 use super::study::FitInputs;
@@ -62,8 +61,6 @@ const DRIFTS: f64 = 3.0;
 /// Prior standard deviation of coefficients and nuisances, in units of the stated ones, if the condition that is left out is the
 /// stated priors: our choice, wide.
 const UNSTATED: f64 = 10.0;
-/// Precision of a parameter that stays as it is: our choice, far above that of any data.
-const HELD: f64 = 1e12;
 /// Least standard error: see the text of this module.
 pub const LEAST: f64 = 2.0;
 
@@ -379,14 +376,11 @@ impl EvidenceTable {
     }
 }
 
-/// Precision and score of each parameter's prior at the fit. A nuisance at its bound stays there, as in the fit.
+/// Precision and score of each parameter's prior at the fit.
 fn prior(fit: &Fit) -> Vec<[f64; 2]> {
     let value = |(&id, at): (&usize, f64)| value_prior(id, at);
-    let deviation = |(k, d): (usize, &f64)| match k >= COEFFICIENTS && d.abs() >= MOST_DEVIATION * (1.0 - 1e-6) {
-        true => [HELD, 0.0],
-        false => [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)],
-    };
-    fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().enumerate().map(deviation)).collect()
+    let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
+    fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
 }
 
 /// Prior standard deviation of a law's coefficient: with it, the law's effect is as large as the whole prediction. Our choice.

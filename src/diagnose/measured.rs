@@ -12,9 +12,6 @@ use crate::parallel;
 /// Factor on the prior standard deviation of an effect that may be the answer: our choice, so wide that the prior has no say
 /// (a log that is late by 120 ms, a plate that is turned by 40°).
 pub const WIDE: f64 = 20.0;
-/// A model fits far better than another if its objective is less than this share: our choice; the noise about it hardly changes for
-/// less.
-pub const FAR_BETTER: f64 = 0.9;
 /// Least gain of a wide prior [χ²] by a linear estimate for which the model is fitted: our choice, below the 4 that a difference of
 /// elpd needs at least.
 const WORTH: f64 = 2.0;
@@ -35,29 +32,6 @@ pub struct MeasuredFit {
     pub nuisances: Vec<Nuisance>,
 }
 
-impl MeasuredFit {
-    /// Place of the effect with a wide prior.
-    fn wide(&self) -> usize {
-        self.nuisances.iter().position(|n| n.sd > n.stated_sd).unwrap_or(0)
-    }
-
-    /// The nuisances with their stated priors, and the fit in these, within their bounds.
-    pub fn as_stated(&self) -> (Vec<Nuisance>, Fit) {
-        let (index, mut nuisances) = (self.wide(), self.nuisances.clone());
-        nuisances[index] = nuisances[index].with_prior(nuisances[index].stated_sd);
-        let mut from = Fit { slopes: Vec::new(), ..self.fit.clone() };
-        let d = &mut from.deviations[COEFFICIENTS + index];
-        *d = (*d * WIDE).clamp(-MOST_DEVIATION, MOST_DEVIATION);
-        (nuisances, from)
-    }
-
-    /// The objective of the same state under the stated priors; None if it is outside of their bounds.
-    pub fn within_stated(&self) -> Option<f64> {
-        let d = self.fit.deviations[COEFFICIENTS + self.wide()];
-        ((d * WIDE).abs() <= MOST_DEVIATION).then(|| self.fit.objective + d * d * (WIDE * WIDE - 1.0))
-    }
-}
-
 /// Fits of the model of `base` with a wide prior for each effect of measuring that promises something.
 pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     let covariance = study.covariance(base);
@@ -75,16 +49,14 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     };
     let mut promising: Vec<(usize, f64)> = (0..study.nuisances.len()).filter(open).map(|k| (k, gain(k))).collect();
     // Of equally promising ones, those of all channels or shapes come first. Filters take the place of a long delay, and from there no
-    // derivative shows it, so a delay is always tried. Where an effect is at its bound, those of single channels or shapes may
-    // together stand in for one of all of them (two legs that both seem tilted, for the zero of their joint), so these are tried, too.
+    // derivative shows it, so a delay is always tried.
     let common = |k: usize| study.nuisances[k].of.is_none();
     let late = |k: usize| common(k) && study.nuisances[k].id == "delay";
-    let bounded = bound(base);
-    promising.retain(|p| p.1 > WORTH || late(p.0) || bounded && common(p.0));
+    promising.retain(|p| p.1 > WORTH || late(p.0));
     promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
     // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
-    let far = |k: usize| bounded || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
+    let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
     let certain = |own: &MeasuredFit, index: usize| {
@@ -113,24 +85,10 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     made.into_iter().flatten().collect()
 }
 
-/// The same models, fitted from their ends under another noise. Nuisances are linearised again only for those that are not far worse
-/// than the best, because this takes most of the time.
-pub fn again(study: &FitInputs, models: &[MeasuredFit]) -> Vec<MeasuredFit> {
-    let least = models.iter().map(|own| own.fit.objective).fold(f64::INFINITY, f64::min);
-    let adjust = |own: &MeasuredFit| {
-        let now = study.with_nuisances(own.nuisances.clone());
-        match FAR_BETTER * own.fit.objective <= least {
-            true => adjusted(now, &own.fit, &own.fit, f64::INFINITY),
-            false => MeasuredFit { fit: now.fit_from(&[&own.fit]).swap_remove(0), nuisances: now.nuisances },
-        }
-    };
-    parallel::map(models, adjust)
-}
-
 /// The model of `base` without one effect of measuring, for each of `wide`.
 pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<MeasuredFit> {
     let of = |own: &MeasuredFit| {
-        let index = own.wide();
+        let index = own.nuisances.iter().position(|n| n.sd > n.stated_sd).unwrap_or(0);
         let mut nuisances = study.nuisances.clone();
         nuisances[index] = nuisances[index].with_prior(0.0);
         let now = study.with_nuisances(nuisances);
@@ -151,13 +109,9 @@ fn widened(
     best: f64,
 ) -> MeasuredFit {
     nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
-    adjusted(study.with_nuisances(nuisances), base, &from, best)
-}
-
-/// A fit from `from`, with the nuisances linearised at its end; abandoned if it is unlikely to reach the objective `best`.
-pub fn adjusted(study: FitInputs, base: &Fit, from: &Fit, best: f64) -> MeasuredFit {
-    let at = study.fit_from(&[from]).swap_remove(0);
-    let (nuisances, at) = settled_nuisances(study.with_nuisances(study.nuisances.clone()), base, at, best);
+    let now = study.with_nuisances(nuisances);
+    let at = now.fit_from(&[&from]).swap_remove(0);
+    let (nuisances, at) = settled_nuisances(now, base, at, best);
     let last = study.with_nuisances(nuisances);
     let fit = last.fit_from(&[&at]).swap_remove(0);
     MeasuredFit { fit, nuisances: last.nuisances }
