@@ -10,7 +10,7 @@ use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Term, TermArguments};
 use crate::number::{Real, Vec3};
 
-pub use sliding::{RestingShare, SlidingFace};
+pub use sliding::{RestingShare, SlidingFace, left_force};
 
 /// Depth z0 [m] at which `depth_power` does not change the stress: our choice; another z0 has the effect of `scale`.
 pub const DEPTH_REFERENCE: f64 = 0.02;

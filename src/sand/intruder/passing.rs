@@ -6,16 +6,13 @@
 //! [`crate::mechanism_laws::SlidingFace`]; form and numbers are ours, from simulated grains of 4 mm.
 
 use super::trials::{Trial, pressures};
-use super::{IntruderPlate, PlatedBody};
+use super::PlatedBody;
 use crate::SandDescription;
 use crate::error::{Error, Result, check_range};
-use crate::number::Vec3;
 
 /// ℓ over the diameter of a grain: 6.1 mm over 4 mm, from the rate at which the lift of a lying plate fades
 /// (`tests/data/drag/flat_0.04_0.05_20mm.csv`). That it grows with the diameter is not proved: one size was simulated.
 const WAY: f64 = 1.5;
-/// μ_e: drag over lift of the part that fades, from the same plate.
-const FRICTION: f64 = 0.14;
 
 /// The stress on each plate of a body.
 #[derive(Clone, Debug)]
@@ -63,13 +60,4 @@ impl Passing {
         let plates = body.plates.iter().zip(&mut self.stress);
         plates.filter(|(p, _)| p.center.z - p.rise() >= surface).for_each(|(_, stress)| *stress = 0.0);
     }
-}
-
-/// The force [N/m] for each metre of depth on a plate whose centre moves with `v`, from the stress that is left.
-pub(super) fn force(plate: &IntruderPlate, normal: Vec3<f64>, v: Vec3<f64>, excess: f64) -> Vec3<f64> {
-    let aside = v - normal * normal.dot(v);
-    let length = aside.norm_squared().sqrt();
-    // A plate that moves along its normal has no tangential direction; rounding must not give it one.
-    let friction = if length > 1e-9 * v.norm_squared().sqrt() { FRICTION / length } else { 0.0 };
-    aside.scale_add(friction, normal) * -(excess * plate.area)
 }

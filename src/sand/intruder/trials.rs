@@ -1,8 +1,8 @@
 //! Steady motions: force and torque at a given depth, or the depth that carries a given load.
 
-use super::{IntruderPlate, PlatedBody, passing};
+use super::{IntruderPlate, PlatedBody};
 use crate::error::{Error, Result, check_range};
-use crate::mechanism_laws::SlidingFace;
+use crate::mechanism_laws::{SlidingFace, left_force};
 use crate::number::Vec3;
 use crate::{Regularization, SandBed, SandDescription, SegmentState, Term};
 
@@ -170,7 +170,7 @@ pub fn compute(body: &PlatedBody, sand: &SandDescription, trial: &Trial) -> Tria
     compute_with(body, sand, trial, &[])
 }
 
-/// The same with the stress [N/m³] that earlier motions have left on each plate ([`passing`]); none if `excess` is empty.
+/// The same with the stress [N/m³] that earlier motions have left on each plate ([`super::passing`]); none if `excess` is empty.
 /// A body that is not round may then not turn.
 pub(super) fn compute_with(body: &PlatedBody, sand: &SandDescription, trial: &Trial, excess: &[f64]) -> TrialOutcome {
     let (ground, plain) = (bed(sand), plain(sand));
@@ -349,7 +349,7 @@ impl DepthForce {
         let part = LeadingPart::of(ground, plate, trial)?;
         let mut resting = part.resting(ground, plate.area);
         if excess != 0.0 {
-            resting += passing::force(plate, part.normal, part.v, excess);
+            resting += left_force(part.normal, part.v, excess * plate.area);
         }
         if part.share == 0.0 {
             let none = Vec3::zero();

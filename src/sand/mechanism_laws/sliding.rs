@@ -103,5 +103,19 @@ impl<R: Real> SlidingFace<R> {
     }
 }
 
+/// μ_e: drag over lift of the stress that an earlier motion has left on a lying plate, from simulated grains of 4 mm
+/// (`tests/data/drag/flat_0.04_0.05_20mm.csv`).
+const LEFT_FRICTION: f64 = 0.14;
+
+/// The force of the stress that an earlier motion has left on a plate with outward normal `normal` whose centre moves with `v`, for a
+/// pressure times area of `load`, in its unit: −load (n + μ_e t̂), t̂ along the tangential velocity.
+pub fn left_force(normal: Vec3<f64>, v: Vec3<f64>, load: f64) -> Vec3<f64> {
+    let aside = v - normal * normal.dot(v);
+    let length = aside.norm_squared().sqrt();
+    // A plate that moves along its normal has no tangential direction; rounding must not give it one.
+    let friction = if length > 1e-9 * v.norm_squared().sqrt() { LEFT_FRICTION / length } else { 0.0 };
+    aside.scale_add(friction, normal) * -load
+}
+
 #[cfg(test)]
 mod tests;
