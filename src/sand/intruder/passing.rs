@@ -5,8 +5,8 @@
 //! steady one and −e (n + μ_e t̂), t̂ along the tangential velocity. For the derivation see
 //! [`crate::mechanism_laws::SlidingFace`]; form and numbers are ours, from simulated grains of 4 mm.
 
-use super::trials::{Trial, pressures};
 use super::PlatedBody;
+use super::trials::{Trial, pressures};
 use crate::SandDescription;
 use crate::error::{Error, Result, check_range};
 
