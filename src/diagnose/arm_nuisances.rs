@@ -147,7 +147,10 @@ impl ForceLogModel<'_> {
                 all.push(self.far(&present, ("attitude", Some(shape)), change, &own));
             }
         }
-        for shape in [self.shapes(true), self.shapes(false)].concat() {
+        // A wrong ruler or scale makes all shapes larger alike, and each shape is measured a little differently.
+        all.push(self.far(&present, ("size", None), RigChange::Size, &whole));
+        let shapes = [self.shapes(true), self.shapes(false)].concat();
+        for shape in shapes.iter().filter(|_| shapes.len() > 1) {
             let own = |stack: &[f64]| self.only_shape(stack, shape);
             all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own));
         }
