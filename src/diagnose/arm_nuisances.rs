@@ -13,7 +13,6 @@ use super::track::{Track, Wrench};
 use crate::parallel;
 use crate::sand::mechanism::Mechanisms;
 use std::collections::BTreeSet;
-use std::f64::consts::FRAC_1_SQRT_2;
 use std::sync::Mutex;
 
 /// Steps for derivatives: our choices, far below the prior standard deviations.
@@ -148,14 +147,9 @@ impl ForceLogModel<'_> {
                 all.push(self.far(&present, ("attitude", Some(shape)), change, &own));
             }
         }
-        // A wrong ruler or scale makes all shapes larger alike, and each shape is measured a little differently. The stated standard
-        // deviation is that of one shape, so each of the two errors has half of its variance: our choice.
-        let shapes = [self.shapes(true), self.shapes(false)].concat();
-        let share = if shapes.len() > 1 { FRAC_1_SQRT_2 } else { 1.0 };
-        all.push(self.far(&present, ("size", None), RigChange::Size, &whole).narrowed(share));
-        for shape in shapes.iter().filter(|_| shapes.len() > 1) {
+        for shape in [self.shapes(true), self.shapes(false)].concat() {
             let own = |stack: &[f64]| self.only_shape(stack, shape);
-            all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own).narrowed(share));
+            all.push(self.far(&present, ("size", Some(shape)), RigChange::Size, &own));
         }
         all.retain(|n| n.sd > 0.0);
         all

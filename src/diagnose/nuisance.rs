@@ -52,11 +52,6 @@ impl Nuisance {
         Self { sd, column, ..self.clone() }
     }
 
-    /// The same nuisance whose stated standard deviation is this share of the present one.
-    pub fn narrowed(self, share: f64) -> Self {
-        Self { stated_sd: share * self.stated_sd, ..self.with_prior(share * self.sd) }
-    }
-
     pub fn is(&self, other: &Self) -> bool {
         self.id == other.id && self.of == other.of
     }
