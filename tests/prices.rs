@@ -9,6 +9,7 @@ use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
 use sandgait::env::shard::Shard;
 use sandgait::env::{ResetOptions, options::OptionRow};
 use sandgait::pool::{Batch, Pool};
+use sandgait::sim::resident;
 use serde_json::{Map, Value, json};
 
 /// The allocator counts what all threads have in use.
@@ -175,9 +176,6 @@ fn the_dearest_value_of_every_option_takes_what_is_reserved() {
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
-/// Resident memory where one byte is allocated, as the tasks reckon.
-const RESIDENT: f64 = 1.3;
-
 /// Memory that environments take when each has ended an episode and an operation keeps copies of all, when most is in
 /// use [bytes each], and what the task says of one without the resident share of the allocator.
 fn at_most(task: &str, options: &Value) -> [usize; 2] {
@@ -222,8 +220,10 @@ fn sizes_of_environments_are_what_is_allocated() {
         ("HexapodGait-v1", with(json!({"history": 64}))),
     ] {
         let [took, said] = at_most(&format!("sandgait/{task}"), &options);
-        let ratio = said as f64 / RESIDENT / took as f64;
-        println!("{task} {options}: {took} bytes, the task says {:.0}, {ratio:.2}", said as f64 / RESIDENT);
+        // The task says resident bytes.
+        let said = said as f64 * 1e3 / resident(1000) as f64;
+        let ratio = said / took as f64;
+        println!("{task} {options}: {took} bytes, the task says {said:.0}, {ratio:.2}");
         if !(0.8..=1.25).contains(&ratio) {
             wrong.push(format!("{task} {options}: {ratio:.2}"));
         }

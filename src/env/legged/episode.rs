@@ -66,7 +66,7 @@ fn full() -> f64 {
 }
 
 impl LeggedEpisode {
-    /// Draws an episode's values. The number and order of the draws are always the same.
+    /// Draws an episode's values. The number and order of the draws are the same for the same options.
     pub fn draw(from: Draws, difficulty: Difficulty, model: &Model, random: &mut Random) -> Self {
         let Draws { commands, rand, .. } = from;
         let counts = from.counts();
@@ -76,7 +76,14 @@ impl LeggedEpisode {
         let added_mass = one(rand.added_mass_range) * model.total_mass();
         let motor_strength = one(rand.motor_strength_range);
         let mut command = || {
-            let drawn = commands.map(|range| difficulty.commands * one(range));
+            let mut drawn = commands.map(|range| difficulty.commands * one(range));
+            if from.single_axis > 0.0 {
+                let share = one([0.0, 1.0]) / from.single_axis;
+                if share < 1.0 {
+                    let axis = (3.0 * share) as usize;
+                    drawn = std::array::from_fn(|k| if k == axis { drawn[k] } else { 0.0 });
+                }
+            }
             let small = drawn[0].hypot(drawn[1]) < from.small;
             if small { [0.0, 0.0, drawn[2]] } else { drawn }
         };

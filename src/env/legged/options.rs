@@ -95,8 +95,9 @@ impl ReliefOptions {
 impl LeggedOptions {
     pub(super) fn draws(&self, units: &Units) -> Draws {
         let rand = self.domain_rand.unwrap_or(DomainRand::NONE);
-        let (commands, resampling_time) = (units.ranges(&self.commands), self.commands.resampling_time);
-        Draws { commands, resampling_time, small: units.small(), rand, steps: self.max_episode_steps }
+        let Commands { resampling_time, single_axis, .. } = self.commands;
+        let (commands, small, steps) = (units.ranges(&self.commands), units.small(), self.max_episode_steps);
+        Draws { commands, resampling_time, single_axis, small, rand, steps }
     }
 
     pub(super) fn model(&self) -> Result<Model> {
