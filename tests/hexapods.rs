@@ -275,10 +275,12 @@ fn a_training_begins_with_the_plain_gait() {
     let distance = trained.last.unwrap().policy_loss;
     assert!(distance > 0.0 && distance < 0.6, "{distance}");
     assert_eq!(settings["options"]["tracking_sigma"], json!(0.03));
+    assert_eq!(settings["options"]["commands"]["single_axis"], json!(0.5));
     // Given options stay, and without the setting nothing is added.
     let mut given = options.clone();
     (given["max_velocity"], given["gait_clock"]) = (json!([0.1, 0.1, 0.5]), json!(1.5));
     given["tracking_sigma"] = json!(0.2);
+    given["commands"] = json!({"single_axis": 0.25});
     let out = folder.path().join("given");
     request(given, &out, &small, 512).run(&sandgait::progress::Silent).unwrap();
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
@@ -287,6 +289,7 @@ fn a_training_begins_with_the_plain_gait() {
         (&json!([0.1, 0.1, 0.5]), &json!(1.5))
     );
     assert_eq!(settings["options"]["tracking_sigma"], json!(0.2));
+    assert_eq!(settings["options"]["commands"]["single_axis"], json!(0.25));
     let out = folder.path().join("plain");
     request(options, &out, &[&small[..], &["gait_prior=0"]].concat(), 512).run(&sandgait::progress::Silent).unwrap();
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();

@@ -140,6 +140,31 @@ fn random_draws_have_effects() {
     assert!(masses.iter().all(|m| (1.1..2.3).contains(m)) && masses[0] != masses[1], "{masses:?}");
 }
 
+/// The given share of commands is along one axis, each axis as often.
+#[test]
+fn some_commands_are_along_one_axis() {
+    let options = json!({"commands": {"single_axis": 0.6}, "curriculum": null, "domain_rand": null});
+    let blueprint = blueprint(options.clone());
+    let columns =
+        ["command_lin_vel_x", "command_lin_vel_y", "command_ang_vel_yaw"].map(|name| column(&blueprint, name));
+    let width = blueprint.task.spec().info.len();
+    let count = 600;
+    let mut shard = shard(options, count);
+    shard.step(&vec![0.0; count * shard.actions()]);
+    let mut alone = [0_usize; 3];
+    for row in shard.rows.infos.chunks(width) {
+        let moves = columns.map(|c| row[c] != 0.0);
+        if moves.iter().filter(|moves| **moves).count() == 1 {
+            alone[moves.iter().position(|moves| *moves).unwrap()] += 1;
+        }
+    }
+    // Speeds near 0 are 0: commands along the ground become commands to stand, and of the others some to turn only. Bounds
+    // are four standard deviations and these.
+    let expected = 0.2 * count as f64;
+    assert!(alone[..2].iter().all(|n| (0.5 * expected..1.4 * expected).contains(&(*n as f64))), "{alone:?}");
+    assert!((0.7 * expected..1.6 * expected).contains(&(alone[2] as f64)), "{alone:?}");
+}
+
 #[test]
 fn broken_robots_and_options_are_refused_in_one_line() {
     let refused = |options: Value| {

@@ -181,6 +181,9 @@ impl<const N: usize> Arm<'_, N> {
         while right > 0 && poses[right].t > t {
             right -= 1;
         }
+        while poses.get(right + 1).is_some_and(|next| next.t <= t) {
+            right += 1;
+        }
         let a = &poses[right];
         let Some(b) = poses.get(right + 1).filter(|_| t >= a.t) else {
             let dt = t - a.t;

@@ -19,6 +19,9 @@ use crate::student;
 
 /// No condition and no trial may carry more than this share of the evidence (docs/diagnosis_method.md).
 const MOST_SHARE: f64 = 0.5;
+/// A law beside a cause may predict better by this many standard errors: our choice. Beyond it the data do not have the cause's
+/// form. It is more than the two of other comparisons, because the law is the best of some hundred.
+const MOST_BESIDE: f64 = 3.0;
 
 /// An effect with its strength.
 #[derive(Clone, Debug)]
@@ -187,8 +190,19 @@ impl NameTests<'_> {
             failed.extend(self.carried(row, reference));
         }
         failed.extend(own.powers.iter().filter_map(FreePower::said));
+        failed.extend(self.left_to_a_law(row));
         failed.dedup();
         failed
+    }
+
+    /// Whether the causes of `row` leave so much to a law that the data do not have their form.
+    fn left_to_a_law(&self, row: usize) -> Option<String> {
+        let own = &self.entries[row];
+        let beside = |k: &usize| self.entries[*k].role == Role::Beside && self.entries[*k].effects == own.effects;
+        let k = (0..self.entries.len()).find(beside).filter(|_| own.role == Role::Causes && own.misfit > 0.0)?;
+        let [more, error] = self.table.difference(k, row);
+        (more > MOST_BESIDE * error && self.entries[k].error < own.error)
+            .then(|| format!("with a law beside it left-out conditions are predicted better by {more:.0} ± {error:.0}, so the data do not have its form"))
     }
 
     /// Whether one condition or one trial carries more than half of the evidence for `row` against `reference`.

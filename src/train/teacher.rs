@@ -20,10 +20,15 @@ const CLOCK_RATE: &str = "gait_clock";
 const SPEEDS: &str = "max_velocity";
 const SIGMA: &str = "tracking_sigma";
 const AIR_TIME: &str = "feet_air_time";
+/// The share of commands along one axis, among the options of commands.
+const ONE_AXIS: &str = "single_axis";
 /// σ of the tracking terms of a robot with a clock: our choice. They take the mean velocity of a stride, which does not sway, so
 /// they may be narrow; and at slow commands, a small drift is a large part of the command. docs/learning_hexapods.md compares
 /// it with the default.
 const NARROW: f64 = 0.03;
+/// Share of commands along one axis alone: our choice. Of commands that are drawn along all three axes hardly any is along one,
+/// and robots then turn or walk too fast where only that is commanded (docs/learning_hexapods.md).
+const SINGLE_AXIS: f64 = 0.5;
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing the best gait. Its weight is made for robots whose motors mostly carry their weight, and
 /// whose legs do not wade.
@@ -42,10 +47,10 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 }
 
 /// For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
-/// the greatest speeds of commands to what the gait reaches, narrow tracking terms, and the weight of the term for long steps
-/// to 0: its threshold is made for the strides of four legs, and on six it makes standing the best gait. Options that are given
-/// stay; values in `kept`, the options of a training that goes on, come before the gait's. Terms by which the gait would
-/// lose more than [`DEAR`] become weaker.
+/// the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of commands along one axis, and the
+/// weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes standing the
+/// best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
+/// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let Some(prior) = plain_gait(&Blueprint::new(LeggedVelocity::ID, options.clone())?)? else {
         return Ok(Suited::default());
@@ -56,6 +61,10 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     }
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
+    }
+    let share = if kept.is_null() { json!(SINGLE_AXIS) } else { kept["commands"][ONE_AXIS].clone() };
+    if options["commands"][ONE_AXIS].is_null() && !share.is_null() {
+        options["commands"][ONE_AXIS] = share;
     }
     let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
     let speeds = options[SPEEDS].is_null() && !["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given);
@@ -191,7 +200,8 @@ impl Teacher {
         };
         format!(
             "the policy imitates a plain gait of {:.1} strides a second for {:.2} M steps and observes a clock of them (--set gait_prior=0: neither); \
-             unless they are given, reward term feet_air_time is 0 and tracking_sigma {NARROW}; {commands}{weaker}",
+             unless they are given, reward term feet_air_time is 0, tracking_sigma {NARROW} and commands.single_axis {SINGLE_AXIS}; \
+             {commands}{weaker}",
             self.prior.stride.frequency,
             steps as f64 / 1e6
         )
