@@ -195,14 +195,20 @@ impl NameTests<'_> {
         failed
     }
 
-    /// Whether the causes of `row` leave so much to a law that the data do not have their form.
+    /// Whether a law beside the causes of `row`, or beside these and another one, predicts so much better that the data do not have
+    /// their form.
     fn left_to_a_law(&self, row: usize) -> Option<String> {
         let own = &self.entries[row];
-        let beside = |k: &usize| self.entries[*k].role == Role::Beside && self.entries[*k].effects == own.effects;
-        let k = (0..self.entries.len()).find(beside).filter(|_| own.role == Role::Causes && own.misfit > 0.0)?;
+        let better = |k: &usize| {
+            let [more, error] = self.table.difference(*k, row);
+            more > MOST_BESIDE * error && self.entries[*k].error < own.error
+        };
+        let beside = |k: &usize| self.entries[*k].role == Role::Beside && self.entries[*k].contains(own);
+        let k = (0..self.entries.len()).filter(beside).find(better).filter(|_| own.role == Role::Causes)?;
         let [more, error] = self.table.difference(k, row);
-        (more > MOST_BESIDE * error && self.entries[k].error < own.error)
-            .then(|| format!("with a law beside it left-out conditions are predicted better by {more:.0} ± {error:.0}, so the data do not have its form"))
+        Some(format!(
+            "with a law beside it left-out conditions are predicted better by {more:.0} ± {error:.0}, so the data do not have its form"
+        ))
     }
 
     /// Whether one condition or one trial carries more than half of the evidence for `row` against `reference`.

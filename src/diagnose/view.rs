@@ -10,6 +10,7 @@ use super::laws::FittedLaw;
 use super::next_experiment::KnownNoise;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
+use super::nuisance::kind;
 use super::opening::{runs, worded};
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Recalibration,
@@ -18,7 +19,7 @@ use super::report::{
 use super::select::Selection;
 use super::study::FitInputs;
 use super::verdict::{Effect, Role, Verdict, Written};
-use super::words::after;
+use super::words::{after, digits};
 use super::{measured, misfit, next_experiment, speed_exponent, strength};
 use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Side};
@@ -27,6 +28,11 @@ use std::collections::BTreeMap;
 
 /// Names of the stress coefficients in sand.toml.
 const COEFFICIENT_NAMES: [&str; COEFFICIENTS] = ["a00", "a10", "b11", "b01", "bm11", "c11", "c01", "cm11", "d10"];
+
+/// An error of measuring is said if it is larger than this many stated standard deviations, and than this many of its own: our
+/// choices. The stated one makes the first unlikely (5 %), the second leaves no doubt of the sign.
+const UNLIKELY: f64 = 2.0;
+const CERTAIN: f64 = 3.0;
 
 /// The inputs of a report with a verdict.
 pub struct ReportView<'a> {
@@ -52,13 +58,14 @@ impl ReportView<'_> {
         let channels = study.observations.channels.iter().zip(&self.noise.channels);
         self.recalibrate(&mut without);
         let named = (s.ruling.written == Written::Cause).then_some(s);
+        let nuisances = self.nuisances(&renewed);
         let report = Report {
             verdict: s.ruling.verdict,
             written: s.ruling.written,
             evidence: self.evidence(),
             whereabouts,
             correlations: named.map(|s| s.standing.correlations.clone()).unwrap_or_default(),
-            warnings: self.warnings(&causes),
+            warnings: self.warnings(&causes, &nuisances),
             causes,
             ambiguity_set: s.explanations(),
             withheld: self.withheld(),
@@ -69,7 +76,7 @@ impl ReportView<'_> {
                 limit: Some(s.table.limit),
             },
             gain: self.gain(),
-            nuisances: self.nuisances(&renewed),
+            nuisances,
             remainder: Some(self.remainder()),
             terms: s.standing.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed, &without.untestable),
@@ -156,7 +163,27 @@ impl ReportView<'_> {
         (0..COEFFICIENTS).map(of).collect()
     }
 
-    fn warnings(&self, causes: &[Cause]) -> Vec<String> {
+    /// Errors of measuring that no answer names, but that are certain and larger than what is stated of the apparatus: the fit has
+    /// absorbed them, and the user can mend them. `values`: see [`Self::nuisances`]. The largest comes first.
+    fn absorbed(&self, values: &[NuisanceValue]) -> Vec<String> {
+        let own = &self.selection.standing;
+        let mut large: Vec<(f64, String)> = Vec::new();
+        for ((n, d), value) in own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]).zip(values) {
+            let known = kind(n.id).filter(|kind| !kind.remedy.is_empty());
+            let within = n.sd == n.stated_sd && d.abs() < MOST_DEVIATION * (1.0 - 1e-6);
+            if let Some(known) =
+                known.filter(|_| within && d.abs() > UNLIKELY && value.value.abs() > CERTAIN * value.sd)
+            {
+                let of = n.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
+                let size = format!("{}{of} {}{}", n.id, digits(value.value), after(n.unit));
+                large.push((d.abs(), format!("{ALARM}{} ({size})", known.words)));
+            }
+        }
+        large.sort_by(|a, b| b.0.total_cmp(&a.0));
+        large.into_iter().map(|(_, said)| said).collect()
+    }
+
+    fn warnings(&self, causes: &[Cause], values: &[NuisanceValue]) -> Vec<String> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
         let of_several = "these data cannot tell of which channel or shape; the one that predicts best is written";
@@ -170,6 +197,7 @@ impl ReportView<'_> {
             let of = nuisance.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
             format!("{ALARM}{}{of} is at its bound, {:.3}{}", nuisance.id, d * nuisance.sd, after(nuisance.unit))
         }));
+        warnings.extend(self.absorbed(values));
         let unfelt = own.fit.mechanisms.unfelt_by_walkers();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         warnings
