@@ -214,7 +214,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
 /// Refuses a misspelt name of a robot; the task knows only its own robots. Longer texts are robots themselves.
 fn check_known(robot: Option<&str>) -> Result<()> {
     let own = [&[SANDCAT][..], &sim::Robot::names()].concat();
-    let named = robots::named::names();
+    let named: Vec<&str> = robots::named::names().into_iter().filter(|name| !own.contains(name)).collect();
     let unknown =
         |name: &&str| name.len() <= LONGEST_NAME && !name.contains(['.', '/', '=', ' ', '\n']) && !own.contains(name);
     let Some(name) = robot.filter(unknown) else { return Ok(()) };
