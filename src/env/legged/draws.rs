@@ -64,7 +64,7 @@ options! {
         lin_vel_y: Option<[f64; 2]> = None, [-MOST_COMMAND, MOST_COMMAND], "range of the speed to the left [m/s]; None: ± 0.25 √(gℓ)";
         ang_vel_yaw: Option<[f64; 2]> = None, [-MOST_COMMAND, MOST_COMMAND], "yaw speed [rad/s]; None: ± 0.2 √(g/ℓ)";
         resampling_time: f64 = 10.0, [0.1, 1e4], "time after which commands are drawn again [s]";
-        single_axis: f64 = 0.0, [0.0, 1.0], "share of commands along one axis alone, each axis as often: the other two speeds are 0";
+        single_axis: f64 = 0.0, [0.0, 1.0], "share of commands along one axis alone";
     }
 }
 
