@@ -3,6 +3,7 @@
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
 use super::form::{FreePower, free_powers};
+use super::gauss_newton::at_bound;
 use super::laws::{FittedLaw, fitted};
 use super::left_out::Contender;
 use super::nested::{Nested, simpler};
@@ -105,7 +106,7 @@ impl Assessing<'_> {
                 let (own, d) = (&nuisances[k], fit.deviations[COEFFICIENTS + k]);
                 let half = reach[fit.ids.len() + COEFFICIENTS + k];
                 let ci95 = [own.sd * (d - half), own.sd * (d + half)];
-                let at_bound = d.abs() >= super::gauss_newton::MOST_DEVIATION * (1.0 - 1e-6);
+                let at_bound = at_bound(d);
                 FoundEffect { effect, value: own.sd * d, ci95, at_bound, certain: d.abs() > half }
             }
             Effect::Mechanism(id) => {
@@ -199,13 +200,15 @@ impl NameTests<'_> {
     /// their form.
     fn left_to_a_law(&self, row: usize) -> Option<String> {
         let own = &self.entries[row];
-        let better = |k: &usize| {
-            let [more, error] = self.table.difference(*k, row);
-            more > MOST_BESIDE * error && self.entries[*k].error < own.error
-        };
-        let beside = |k: &usize| self.entries[*k].role == Role::Beside && self.entries[*k].contains(own);
-        let k = (0..self.entries.len()).filter(beside).find(better).filter(|_| own.role == Role::Causes)?;
-        let [more, error] = self.table.difference(k, row);
+        if own.role != Role::Causes {
+            return None;
+        }
+        let gains = self
+            .entries
+            .iter()
+            .enumerate()
+            .filter(|(_, other)| other.role == Role::Beside && other.contains(own) && other.error < own.error);
+        let [more, error] = gains.map(|(k, _)| self.table.difference(k, row)).find(|[m, e]| *m > MOST_BESIDE * e)?;
         Some(format!(
             "with a law beside it left-out conditions are predicted better by {more:.0} ± {error:.0}, so the data do not have its form"
         ))

@@ -23,6 +23,11 @@ const SETTLED_ROUGHLY: f64 = 0.25;
 /// Bound of a nuisance in prior standard deviations: our choice. Without this bound, nuisances could take absurd values to compensate for
 /// a large error of the model.
 pub const MOST_DEVIATION: f64 = 3.0;
+
+/// Is a deviation at its bound? The share is rounding.
+pub fn at_bound(deviation: f64) -> bool {
+    deviation.abs() >= MOST_DEVIATION * (1.0 - 1e-6)
+}
 /// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
 /// From this step on a fit can be abandoned because another fit has a much lower objective. Not earlier, because the

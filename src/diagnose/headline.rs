@@ -4,7 +4,7 @@ use super::nuisance::{CauseKind, kind};
 use super::report::{Cause, Report};
 use super::split::percent;
 use super::verdict::{Verdict, Written};
-use super::words::{after, capital, digits};
+use super::words::{after, capital, digits, of};
 use crate::sand::mechanism::{CATALOG, Side};
 
 /// Most characters of a headline.
@@ -57,7 +57,7 @@ pub fn kind_of_mechanism(id: usize) -> CauseKind {
 
 /// A cause in words, with its value: `the plate or leg is tilted (attitude of Pn 0.036 rad ± 0.003)`.
 fn found(c: &Cause) -> String {
-    let of = c.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
+    let of = of(c.of.as_deref());
     let half = 0.5 * (c.ci95[1] - c.ci95[0]);
     let degrees = match (&*c.unit, c.kind) {
         ("rad", CauseKind::Measurement) => format!(" by {:.1}° (±{:.1}°)", c.value.to_degrees(), half.to_degrees()),

@@ -2,7 +2,7 @@
 
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
-use super::gauss_newton::MOST_DEVIATION;
+use super::gauss_newton::at_bound;
 use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
 use super::settling::{bound, settled_nuisances};
@@ -41,7 +41,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     let gain = |k: usize| {
         let d = base.deviations[COEFFICIENTS + k];
         let left = 1.0 - covariance[(first + k, first + k)].min(1.0) * less;
-        if d.abs() >= MOST_DEVIATION * (1.0 - 1e-6) { f64::INFINITY } else { d * d * less / left.max(1e-9) }
+        if at_bound(d) { f64::INFINITY } else { d * d * less / left.max(1e-9) }
     };
     let open = |&k: &usize| {
         let n = &study.nuisances[k];

@@ -1,7 +1,7 @@
 //! Nuisances with nonlinear effects: fit and linearisation are adjusted to each other.
 
 use super::fit::{COEFFICIENTS, Fit};
-use super::gauss_newton::{MOST_DEVIATION, REACH};
+use super::gauss_newton::{REACH, at_bound};
 use super::nuisance::Nuisance;
 use super::study::FitInputs;
 use super::whiten::Whitener;
@@ -35,7 +35,7 @@ pub fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> 
 
 /// Is a nuisance of a fit at its bound?
 pub fn bound(fit: &Fit) -> bool {
-    fit.deviations[COEFFICIENTS..].iter().any(|d| d.abs() >= MOST_DEVIATION * (1.0 - 1e-6))
+    fit.deviations[COEFFICIENTS..].iter().any(|d| at_bound(*d))
 }
 
 /// The nuisances of a study, linearised at their estimates about `fit`, from the fit `at` with them; and the fit there. Fit and

@@ -3,7 +3,7 @@
 use super::headline::below;
 use super::report::{Cause, EvidenceRow, Report};
 use super::verdict::{Verdict, Written};
-use super::words::{after, digits};
+use super::words::{after, digits, of};
 
 /// The verdict in one sentence.
 pub fn summary(r: &Report) -> String {
@@ -52,7 +52,7 @@ pub fn clauses(r: &Report) -> Vec<String> {
 /// The causes with their values.
 fn found(r: &Report) -> String {
     let said = |c: &Cause| {
-        let of = c.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
+        let of = of(c.of.as_deref());
         let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
         format!("{}{of} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
     };

@@ -4,7 +4,7 @@ use super::differences::NORMAL;
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, slope};
 use super::gate::FoundEffect;
-use super::gauss_newton::MOST_DEVIATION;
+use super::gauss_newton::at_bound;
 use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
 use super::next_experiment::KnownNoise;
@@ -19,7 +19,7 @@ use super::report::{
 use super::select::Selection;
 use super::study::FitInputs;
 use super::verdict::{Effect, Role, Verdict, Written};
-use super::words::{after, digits};
+use super::words::{after, digits, of};
 use super::{measured, misfit, next_experiment, speed_exponent, strength};
 use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Side};
@@ -170,12 +170,11 @@ impl ReportView<'_> {
         let mut large: Vec<(f64, String)> = Vec::new();
         for ((n, d), value) in own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]).zip(values) {
             let known = kind(n.id).filter(|kind| !kind.remedy.is_empty());
-            let within = n.sd == n.stated_sd && d.abs() < MOST_DEVIATION * (1.0 - 1e-6);
+            let within = n.sd == n.stated_sd && !at_bound(*d);
             if let Some(known) =
                 known.filter(|_| within && d.abs() > UNLIKELY && value.value.abs() > CERTAIN * value.sd)
             {
-                let of = n.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
-                let size = format!("{}{of} {}{}", n.id, digits(value.value), after(n.unit));
+                let size = format!("{}{} {}{}", n.id, of(n.of.as_deref()), digits(value.value), after(n.unit));
                 large.push((d.abs(), format!("{ALARM}{} ({size})", known.words)));
             }
         }
@@ -192,9 +191,9 @@ impl ReportView<'_> {
         warnings.extend(far_coefficients(&own.fit));
         let nuisances = own.nuisances.iter();
         let at_end = nuisances.zip(own.fit.deviations.iter().skip(COEFFICIENTS));
-        let at_end = at_end.filter(|(n, d)| n.sd == n.stated_sd && d.abs() >= MOST_DEVIATION * (1.0 - 1e-6));
+        let at_end = at_end.filter(|(n, d)| n.sd == n.stated_sd && at_bound(**d));
         warnings.extend(at_end.map(|(nuisance, d)| {
-            let of = nuisance.of.as_ref().map_or(String::new(), |of| format!(" of {of}"));
+            let of = of(nuisance.of.as_deref());
             format!("{ALARM}{}{of} is at its bound, {:.3}{}", nuisance.id, d * nuisance.sd, after(nuisance.unit))
         }));
         warnings.extend(self.absorbed(values));

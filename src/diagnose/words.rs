@@ -18,6 +18,11 @@ pub fn after(unit: &str) -> String {
     if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
 }
 
+/// The channel or shape to put after an id; empty if it is that of all.
+pub fn of(part: Option<&str>) -> String {
+    part.map_or(String::new(), |part| format!(" of {part}"))
+}
+
 /// A range with its unit; a single number if both ends are equal.
 pub fn span(range: [f64; 2], unit: &str) -> String {
     // Positions within the log's rounding count as equal.
