@@ -48,7 +48,10 @@ fn a_policy_brings_its_task_and_options() {
     let said = String::from_utf8(other.stderr).unwrap();
     assert!(said.contains("the policy was trained in sandgait/HexapodTerrain-v1"), "{said}");
     // A policy of LeggedVelocity follows commands, which nobody has to know.
-    refused(&["evaluate", SANDCAT, "--media", "poppy-loose"], &["--media", "nine commands", "--option ground=NAME"]);
+    refused(&["evaluate", SANDCAT, "--seeds", "9"], &["--seeds", "nine commands"]);
+    refused(&["evaluate", SANDCAT, "--media", "poppy-clos"], &["ground", "did you mean \"poppy-close\"?"]);
+    refused(&["evaluate", SANDCAT, "--strengths", "0"], &["strengths", "0 is outside"]);
+    refused(&["evaluate", "standing", "--strengths", "2"], &["--strengths", "LeggedVelocity"]);
     refused(&["evaluate", TERRAIN, "--commands"], &["--commands", "HexapodTerrain"]);
     refused(&["play", SANDCAT, "--option", "grund=rigid"], &["did you mean \"ground\"?"]);
 }
@@ -69,6 +72,27 @@ fn commands_are_within_the_training() {
     let table = text(&["evaluate", policy, "--option", narrow, "--csv", csv.to_str().unwrap()]);
     assert!(!table.contains("inf") && !table.contains("NaN"), "{table}");
     assert_eq!(std::fs::read_to_string(&csv).unwrap().lines().count(), 8, "{table}");
+}
+
+/// One policy on several grounds: nine lines for each in the CSV; hard ground has no strength, and nominal sand gives the errors of an
+/// evaluation without lists.
+#[test]
+fn a_policy_is_evaluated_on_several_grounds() {
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("sands.csv");
+    let csv = csv.to_str().unwrap();
+    let table = text(&["evaluate", SANDCAT, "--media", "poppy-close,rigid", "--strengths", "1,4", "--csv", csv]);
+    assert!(table.contains("mean error") && table.contains("strength"), "{table}");
+    let rows: Vec<Vec<String>> =
+        std::fs::read_to_string(csv).unwrap().lines().map(|l| l.split(',').map(str::to_owned).collect()).collect();
+    assert_eq!((rows.len(), &*rows[0][2]), (28, "strength"));
+    assert_eq!([1, 10, 19].map(|k| (&*rows[k][0], &*rows[k][2])), [("poppy-close", "1"), ("poppy-close", "4"), ("rigid", "")]);
+    let alone = directory.path().join("alone.csv");
+    text(&["evaluate", SANDCAT, "--option", "ground=poppy-close", "--csv", alone.to_str().unwrap()]);
+    let alone = std::fs::read_to_string(alone).unwrap();
+    let of = |rows: &[Vec<String>]| rows.iter().map(|row| row[3..].join(",")).collect::<Vec<_>>();
+    assert_eq!(of(&rows[1..10]), alone.lines().skip(1).collect::<Vec<_>>());
+    assert_ne!(of(&rows[10..19]), of(&rows[1..10]));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::fit::{COEFFICIENTS, Fit};
 use super::gauss_newton::at_bound;
 use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
-use super::settling::{bound, settled_nuisances};
+use super::settling::{FAR, bound, settled_nuisances};
 use super::study::FitInputs;
 use crate::parallel;
 
@@ -18,9 +18,6 @@ const WORTH: f64 = 2.0;
 /// Number of such models, the most promising ones, and the number for a rough model, whose derivatives need simulations: our choices,
 /// because each fit takes time.
 const MOST: [usize; 2] = [10, 3];
-
-/// Start values of far fits, in stated standard deviations: our choice; between them Gauss-Newton steps converge.
-const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
 
 /// Number of effects, the most promising ones, whose fits begin at far values, too, beside those of all channels or shapes: our choice,
 /// because each fit takes time.

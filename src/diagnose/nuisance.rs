@@ -114,7 +114,8 @@ pub struct NuisanceKind {
 macro_rules! kinds {
     ($($id:literal $unit:literal $sd:literal $kind:ident $geometry:literal $mechanism:expr, $words:literal, $remedy:literal;)*) => {
         /// All kinds. The default priors are our choices, usual in a careful laboratory: the zero of a load cell is known within a
-        /// tenth of what the cell reads, its gain within 2 %, its mounting within 3°; the height of the surface within 2 mm; clocks
+        /// tenth of what the cell reads, its gain within 2 %, and it changes by 0.5 % from the first trial to the last one (data sheets:
+        /// 0.01 to 0.05 % for each kelvin); its mounting within 3°; the height of the surface within 2 mm; clocks
         /// within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1 mm, the friction of its surface within
         /// 0.15. A plate or leg is mounted within 2° and measured within 2 %, a motor's zero is known within 0.02 rad, the place of
         /// the sensor within 1 mm, and 2 % of one channel's load appear in another one (data sheets of six-axis load cells: 1 to 3 %).
@@ -144,6 +145,7 @@ kinds! {
     "joint_zero" "rad" 0.02 Measurement true [], "the zero of the leg's angle is off", "Add the value to the logged angle, or calibrate the encoder";
     "size" "1" 0.02 Measurement true [], "the intruder has another size than stated", "Measure the intruder, and state its true length and width";
     "origin" "m" 1e-3 Measurement true [], "torques are taken about another point than stated", "State the place of the sensor, or move the torques to the hip or plate centre";
+    "gain_drift" "1" 0.005 Measurement false [], "forces change from trial to trial in the order of the file", "Calibrate the load cell before and after the session, and prepare all beds alike";
     "cross_talk" "1" 0.02 Measurement true [], "a part of one force channel appears in the other", "Calibrate the load cell with loads along each axis";
     "geometry" "m" 1e-3 Measurement false [], "the body has another size than stated", "Measure the body";
     "surface_friction" "1" 0.15 Measurement false [], "the body's surface has another friction than stated", "Measure the friction of the body's surface";

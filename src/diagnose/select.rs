@@ -109,9 +109,10 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
         let next = attempt(&wide, study, asked, &Later(progress))?;
-        let gain = next.nested.reduction().1[0];
+        // As for every effect of measuring: the density decides, and the error is less.
+        let better = next.entries[next.ruling.model].beats[0] && next.nested.reduction().0 > 0.0;
         if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
-            || gain <= 0.0
+            || !better
             || next.standing.found.iter().any(|found| !found.certain)
         {
             break;

@@ -12,8 +12,11 @@ const BENDS: usize = 6;
 /// of the nuisance is right to a fiftieth of what its prior allows.
 const STRAIGHT: f64 = 0.02;
 
+/// Start values of far fits, in stated standard deviations: our choice; between them Gauss-Newton steps converge.
+pub const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
+
 /// Nuisances linearised at `fit` under a whitening. Where nuisances at their bounds only stand in for something else, the fit may be
-/// stuck there, so it is made again from the stated apparatus.
+/// stuck there, so it is made again from the stated apparatus, and from far values of an effect with a wide prior.
 pub fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     if study.nuisances.is_empty() {
         return Vec::new();
@@ -29,8 +32,22 @@ pub fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> 
     }
     let mut still = fit.clone();
     still.deviations[COEFFICIENTS..].fill(0.0);
-    let (fresh, anew) = from(&still);
-    if anew.objective < at.objective { fresh } else { near }
+    let mut starts = vec![still.clone()];
+    for (k, n) in study.nuisances.iter().enumerate().filter(|(_, n)| n.sd > n.stated_sd && n.nearly_linear.is_finite()) {
+        starts.extend(FAR[1..].iter().map(|far| {
+            let mut start = still.clone();
+            start.deviations[COEFFICIENTS + k] = far * n.stated_sd / n.sd;
+            start
+        }));
+    }
+    let (mut best, mut least) = (near, at.objective);
+    for start in &starts {
+        let (fresh, anew) = from(start);
+        if anew.objective < least {
+            (best, least) = (fresh, anew.objective);
+        }
+    }
+    best
 }
 
 /// Is a nuisance of a fit at its bound?

@@ -96,7 +96,8 @@ impl ReportView<'_> {
 
     fn evidence(&self) -> Vec<EvidenceRow> {
         let s = self.selection;
-        let shown = |k: &usize| s.entries[*k].role != Role::Absent;
+        // A cause whose column is missing was compared at an assumed place, so it has no row; `untestable` says why.
+        let shown = |k: &usize| s.entries[*k].role != Role::Absent && !s.entries[*k].unnamed;
         let best = s.table.ranked((0..s.entries.len()).filter(shown))[0];
         let of = |k: usize| {
             let [difference, standard_error] = s.table.difference(k, best);

@@ -5,10 +5,10 @@
 
 use super::FIRST_SEED;
 use super::gait::{Gait, PolicySource};
-use crate::env::legged::{LeggedVelocity, Units};
+use crate::env::legged::{DomainRand, LeggedVelocity, SAND, Units};
 use crate::env::registry::Blueprint;
 use crate::env::{Shard, Spec, Task};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
 use crate::parallel;
 use crate::progress::Progress;
 use serde::Serialize;
@@ -74,6 +74,12 @@ impl CommandStudy {
     /// `options`: the keywords of LeggedVelocity with which the policy was trained. Their ranges of commands scale the
     /// commands of the study.
     pub fn new(policy: &PolicySource, options: &Value) -> Result<Self> {
+        Self::on_sand(policy, options, 1.0)
+    }
+
+    /// The same on sand whose stress is multiplied by `strength`.
+    pub fn on_sand(policy: &PolicySource, options: &Value, strength: f64) -> Result<Self> {
+        check_range("strengths", strength, SAND)?;
         let no_policy = || {
             let reason = format!("it follows no commands; give FILE.onnx of a policy of {}", LeggedVelocity::ID);
             Error::invalid("policy", reason)
@@ -95,7 +101,7 @@ impl CommandStudy {
         if commands.is_empty() {
             return Err(Error::invalid("commands", "all ranges are 0, so there is nothing to follow"));
         }
-        let blueprints = commands.iter().map(|command| held(options, *command)).collect::<Result<_>>()?;
+        let blueprints = commands.iter().map(|command| held(options, *command, strength)).collect::<Result<_>>()?;
         Ok(Self { blueprints, gait, small: units.small() })
     }
 
@@ -144,12 +150,13 @@ fn trained(ranges: &[[f64; 2]; 3], small: f64, shares: [f64; 3]) -> Option<[f64;
     (command != [0.0; 3]).then_some(command)
 }
 
-/// The task with one command, without randomness.
-fn held(options: &Value, command: [f64; 3]) -> Result<Blueprint> {
+/// The task with one command, without randomness, on sand whose stress is multiplied by `strength`.
+fn held(options: &Value, command: [f64; 3], strength: f64) -> Result<Blueprint> {
     let mut options = options.as_object().cloned().unwrap_or_default();
     let ranges: Map<String, Value> = NAMES.iter().zip(command).map(|(n, v)| ((*n).to_owned(), json!([v, v]))).collect();
     options.insert("commands".into(), Value::Object(ranges));
-    options.insert("domain_rand".into(), Value::Null);
+    let stronger = DomainRand { sand_range: [strength; 2], ..DomainRand::NONE };
+    options.insert("domain_rand".into(), if strength == 1.0 { Value::Null } else { json!(stronger) });
     options.insert("curriculum".into(), Value::Null);
     let rate = crate::env::spec::CONTROL_RATE;
     options.insert("max_episode_steps".into(), json!((SECONDS * rate).round() as u64));

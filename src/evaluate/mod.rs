@@ -2,7 +2,7 @@
 //!
 //! [`gait`]: the evaluated gait → [`run`]: episodes over lanes and cores, each an [`episode`] of sums →
 //! [`figures`]: means with intervals → [`table`]: columns and text. [`commands`]: how well a policy of LeggedVelocity
-//! follows commands. `docs/evaluate.md` defines every figure.
+//! follows commands, and [`sands`]: on several grounds. `docs/evaluate.md` defines every figure.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_env as env;
@@ -14,6 +14,7 @@ pub mod episode;
 pub mod figures;
 pub mod gait;
 pub mod run;
+pub mod sands;
 pub mod table;
 
 pub use figures::{Estimate, Figures};

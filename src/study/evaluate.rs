@@ -12,6 +12,7 @@ use crate::env::legged::LeggedVelocity;
 use crate::error::{Error, Result};
 use crate::layout::{WIDTH, narrow_table, wrapped};
 use sandgait_evaluate::commands::{self, CommandResult, CommandStudy, CommandTracking};
+use sandgait_evaluate::sands::{self, GroundLists, MatrixGround, SandMatrix};
 use sandgait_evaluate::{Evaluation, EvaluationRequest, EvaluationRow, MOST_SEEDS, PolicySource, table};
 use serde_json::{Map, Value, json};
 use std::path::Path;
@@ -25,13 +26,14 @@ use std::path::Path;
 /// every figure.
 ///
 /// A policy of LeggedVelocity follows commands. How well it follows them is measured for nine commands, half or nearly
-/// all of the ranges of its training, without randomness.
+/// all of the ranges of its training, without randomness. With --media, --slopes or --strengths the table has a line for
+/// each ground, and the CSV one for each command on it.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait evaluate runs/gait --media poppy-loose,poppy-close --slopes 0,5,10
   sandgait evaluate tripod --slopes 0,10 --json tripod.json
   sandgait evaluate runs/go1 --csv commands.csv
-  sandgait evaluate runs/go1 --option ground=rigid
+  sandgait evaluate runs/go1 --media poppy-close,rigid --strengths 0.5,1,4
   sandgait evaluate clock:best.json --option leg=C --csv clock.csv")]
 pub struct Evaluate {
     /// Gait: the folder of a training or FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
@@ -45,14 +47,17 @@ pub struct Evaluate {
     /// Number of episodes; their seeds begin at 1,000,000 [default: 100]
     #[arg(long, value_name = "N", value_parser = whole::<usize>(2..=MOST_SEEDS as u64))]
     seeds: Option<usize>,
-    /// Media, instead of the medium in the options
+    /// Media, instead of the medium in the options; of LeggedVelocity grounds, such as rigid
     #[arg(long, value_name = "NAME,…")]
     media: Option<NameList>,
     /// Slopes [°], instead of the slope in the options
     #[arg(long, value_name = "DEG,…", allow_hyphen_values = true)]
     slopes: Option<Numbers>,
+    /// Factors on the sand's stress, of LeggedVelocity
+    #[arg(long, value_name = "N,…")]
+    strengths: Option<Numbers>,
     /// How well a policy of LeggedVelocity follows commands; its folder says so already
-    #[arg(long, conflicts_with_all = ["task", "seeds", "media", "slopes"])]
+    #[arg(long, conflicts_with_all = ["task", "seeds"])]
     commands: bool,
 }
 
@@ -125,11 +130,21 @@ impl Study for Evaluate {
         let lines: Vec<String> = assumed.into_iter().chain(line).chain(unfelt_option(&options)).collect();
         if task == LeggedVelocity::ID {
             self.check_commands()?;
-            let study = CommandStudy::new(&policy, &options).map_err(cause)?;
             let name = self.policy.0;
+            if let Some(lists) = lists(self.media, self.slopes, self.strengths) {
+                let matrix = SandMatrix::new(policy, options, &lists).map_err(cause)?;
+                let bytes = matrix.bytes();
+                let work = StudyWork::new(move |progress| Ok(on_grounds(&name, &matrix.run(progress)?)));
+                return Ok(work.warning(lines).taking(bytes));
+            }
+            let study = CommandStudy::new(&policy, &options).map_err(cause)?;
             let bytes = study.bytes();
             let work = StudyWork::new(move |progress| Ok(followed(&name, &study.run(progress)?)));
             return Ok(work.warning(lines).taking(bytes));
+        }
+        if self.strengths.is_some() {
+            let reason = format!("of {} only; the option sand gives a sand of another strength", LeggedVelocity::ID);
+            return Err(Error::invalid("--strengths", reason));
         }
         let (media, slopes) = (self.media.unwrap_or_default().0, self.slopes.unwrap_or_default().0);
         let seeds = self.seeds.unwrap_or(EvaluationRequest::SEEDS);
@@ -147,17 +162,19 @@ fn settings(policy: &str) -> String {
 }
 
 impl Evaluate {
-    /// Refuses arguments that an evaluation by commands does not have.
+    /// Refuses an argument that an evaluation by commands does not have.
     fn check_commands(&self) -> Result<()> {
-        let given =
-            [("--seeds", self.seeds.is_some()), ("--media", self.media.is_some()), ("--slopes", self.slopes.is_some())];
-        let Some((name, _)) = given.iter().find(|(_, given)| *given) else { return Ok(()) };
-        let reason = format!(
-            "a policy of {} is evaluated by nine commands; --option ground=NAME and --option slope_deg=DEG change the ground",
-            LeggedVelocity::ID
-        );
-        Err(Error::invalid(*name, reason))
+        let reason = || format!("a policy of {} is evaluated by nine commands, each followed by 16 robots", LeggedVelocity::ID);
+        self.seeds.map_or(Ok(()), |_| Err(Error::invalid("--seeds", reason())))
     }
+}
+
+/// The grounds that are asked for; None if the policy's own ground is.
+fn lists(media: Option<NameList>, slopes: Option<Numbers>, strengths: Option<Numbers>) -> Option<GroundLists> {
+    let media = media.unwrap_or_default().0;
+    let [slopes, strengths] = [slopes, strengths].map(|list| list.unwrap_or_default().0);
+    let lists = GroundLists { media, slopes, strengths };
+    (lists != GroundLists::default()).then_some(lists)
 }
 
 fn evaluated(about: Value, rows: &[EvaluationRow]) -> StudyResult {
@@ -181,21 +198,21 @@ fn report(about: &Value, rows: &[EvaluationRow]) -> String {
     format!("{head}\n\n{}\n{}\n", narrow_table(&table::cells(rows), keys), table::notes(rows).join("\n"))
 }
 
+/// The columns of results for commands.
+const COMMANDS: [(&str, &str, fn(&CommandResult) -> f64); 8] = [
+    ("command_lin_vel_x", "m/s", |l| l.command[0]),
+    ("command_lin_vel_y", "m/s", |l| l.command[1]),
+    ("command_ang_vel_yaw", "rad/s", |l| l.command[2]),
+    ("lin_vel_x", "m/s", |l| l.velocity[0]),
+    ("lin_vel_y", "m/s", |l| l.velocity[1]),
+    ("ang_vel_yaw", "rad/s", |l| l.velocity[2]),
+    ("error", "1", |l| l.error),
+    ("falls", "1", |l| l.falls),
+];
+
 /// How well the policy follows commands.
 fn followed(name: &str, followed: &CommandTracking) -> StudyResult {
-    let columns = StudyColumn::of_rows::<CommandResult>(
-        &followed.lines,
-        &[
-            ("command_lin_vel_x", "m/s", |l| l.command[0]),
-            ("command_lin_vel_y", "m/s", |l| l.command[1]),
-            ("command_ang_vel_yaw", "rad/s", |l| l.command[2]),
-            ("lin_vel_x", "m/s", |l| l.velocity[0]),
-            ("lin_vel_y", "m/s", |l| l.velocity[1]),
-            ("ang_vel_yaw", "rad/s", |l| l.velocity[2]),
-            ("error", "1", |l| l.error),
-            ("falls", "1", |l| l.falls),
-        ],
-    );
+    let columns = StudyColumn::of_rows::<CommandResult>(&followed.lines, &COMMANDS);
     let CommandTracking { mean_error, worst_error, falls, .. } = followed;
     let about = json!({
         "policy": name, "task": LeggedVelocity::ID, "mean_error": mean_error, "worst_error": worst_error, "falls": falls,
@@ -205,5 +222,32 @@ fn followed(name: &str, followed: &CommandTracking) -> StudyResult {
         summary: format!("{name}, {}\n\n{cells}\n{summary}\n", LeggedVelocity::ID),
         about: about.as_object().cloned().unwrap_or_else(Map::new),
         ..StudyResult::table(StudyTable::new("commands", columns))
+    }
+}
+
+/// How well the policy follows commands on each ground.
+fn on_grounds(name: &str, rows: &[(MatrixGround, CommandTracking)]) -> StudyResult {
+    let lines: Vec<CommandResult> = rows.iter().flat_map(|row| row.1.lines.clone()).collect();
+    let grounds: Vec<&MatrixGround> = rows.iter().flat_map(|row| row.1.lines.iter().map(|_| &row.0)).collect();
+    let mut columns = vec![
+        StudyColumn::names("medium", grounds.iter().map(|g| g.medium.as_str())),
+        StudyColumn::numbers("slope_deg", "°", grounds.iter().map(|g| g.slope_deg)),
+        StudyColumn::numbers("strength", "1", grounds.iter().map(|g| g.strength)),
+    ];
+    columns.extend(StudyColumn::of_rows::<CommandResult>(&lines, &COMMANDS));
+    let of = |(ground, t): &(MatrixGround, CommandTracking)| {
+        json!({
+            "medium": ground.medium, "slope_deg": ground.slope_deg, "strength": ground.strength,
+            "mean_error": t.mean_error, "worst_error": t.worst_error, "falls": t.falls,
+        })
+    };
+    let about = json!({
+        "policy": name, "task": LeggedVelocity::ID, "grounds": rows.iter().map(of).collect::<Vec<_>>(),
+    });
+    let cells = crate::layout::narrow_table(&sands::cells(rows), 3);
+    StudyResult {
+        summary: format!("{name}, {}\n\n{cells}", LeggedVelocity::ID),
+        about: about.as_object().cloned().unwrap_or_else(Map::new),
+        ..StudyResult::table(StudyTable::new("grounds", columns))
     }
 }

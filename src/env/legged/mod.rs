@@ -16,7 +16,7 @@ pub mod prior;
 mod reward;
 mod units;
 
-pub use draws::{Commands, DomainRand, MOST_COMMAND};
+pub use draws::{Commands, DomainRand, MOST_COMMAND, SAND};
 use options::action_scales;
 pub use options::{LeggedOptions, ReliefOptions};
 pub use reward::Rewards;
