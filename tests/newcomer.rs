@@ -86,7 +86,10 @@ fn a_policy_is_evaluated_on_several_grounds() {
     let rows: Vec<Vec<String>> =
         std::fs::read_to_string(csv).unwrap().lines().map(|l| l.split(',').map(str::to_owned).collect()).collect();
     assert_eq!((rows.len(), &*rows[0][2]), (28, "strength"));
-    assert_eq!([1, 10, 19].map(|k| (&*rows[k][0], &*rows[k][2])), [("poppy-close", "1"), ("poppy-close", "4"), ("rigid", "")]);
+    assert_eq!(
+        [1, 10, 19].map(|k| (&*rows[k][0], &*rows[k][2])),
+        [("poppy-close", "1"), ("poppy-close", "4"), ("rigid", "")]
+    );
     let alone = directory.path().join("alone.csv");
     text(&["evaluate", SANDCAT, "--option", "ground=poppy-close", "--csv", alone.to_str().unwrap()]);
     let alone = std::fs::read_to_string(alone).unwrap();

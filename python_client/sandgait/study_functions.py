@@ -216,6 +216,7 @@ def evaluate(
     seeds: int | None = None,
     media: Iterable[str] | None = None,
     slopes: float | npt.ArrayLike | None = None,
+    strengths: float | npt.ArrayLike | None = None,
     commands: bool = False,
     address: str | None = None,
     progress: ProgressOption = True,
@@ -230,7 +231,8 @@ def evaluate(
     every figure.
 
     A policy of LeggedVelocity follows commands. How well it follows them is measured for nine commands, half or nearly
-    all of the ranges of its training, without randomness.
+    all of the ranges of its training, without randomness. With `media`, `slopes` or `strengths` the table has a line
+    for each ground, and the CSV one for each command on it.
 
     `policy`: Gait: the folder of a training or FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or
     random.
@@ -239,8 +241,9 @@ def evaluate(
     such as [0.1,0.6] or {"key": 1}; a number stands for a range of that number, and null for None. Of sand, hardware
     and robot VALUE can be a path.
     `seeds`: Number of episodes; their seeds begin at 1,000,000 [default: 100], in [2, 100000].
-    `media`: Media, instead of the medium in the options.
+    `media`: Media, instead of the medium in the options; of LeggedVelocity grounds, such as rigid.
     `slopes`: Slopes [°], instead of the slope in the options.
+    `strengths`: Factors on the sand's stress, of LeggedVelocity.
     `commands`: How well a policy of LeggedVelocity follows commands; its folder says so already.
     `address`: a running server that computes the study; by default this process computes it. `progress`: shows the
     progress, or a function that gets it. Ctrl-C stops the study.
@@ -252,6 +255,7 @@ def evaluate(
     call.value("--seeds", "seeds", seeds)
     call.names("--media", "media", media)
     call.numbers("--slopes", "slopes", slopes)
+    call.numbers("--strengths", "strengths", strengths)
     call.flag("--commands", "commands", commands)
     result: Evaluation = call.run(address, progress)
     return result

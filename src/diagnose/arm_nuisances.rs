@@ -134,9 +134,8 @@ impl ForceLogModel<'_> {
         // From 0 in the first trial to the value in the last one.
         all.push(self.linear(m, ("gain_drift", None), || {
             let last = self.layout.units.len().max(2) - 1;
-            let at = |u: usize, c: usize, i: usize| {
-                m.here[self.layout.units[u].block(c).start + i] * u as f64 / last as f64
-            };
+            let at =
+                |u: usize, c: usize, i: usize| m.here[self.layout.units[u].block(c).start + i] * u as f64 / last as f64;
             self.layout.stack(at)
         }));
         let whole = |stack: &[f64]| stack.to_vec();

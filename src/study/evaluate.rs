@@ -164,7 +164,8 @@ fn settings(policy: &str) -> String {
 impl Evaluate {
     /// Refuses an argument that an evaluation by commands does not have.
     fn check_commands(&self) -> Result<()> {
-        let reason = || format!("a policy of {} is evaluated by nine commands, each followed by 16 robots", LeggedVelocity::ID);
+        let reason =
+            || format!("a policy of {} is evaluated by nine commands, each followed by 16 robots", LeggedVelocity::ID);
         self.seeds.map_or(Ok(()), |_| Err(Error::invalid("--seeds", reason())))
     }
 }

@@ -56,12 +56,16 @@ pub struct Hyperparameters {
     /// Steps in which the policy of a robot with six or more legs first imitates a plain gait, which also finds the
     /// ranges of its commands; 0: it starts from nothing.
     pub gait_prior: u64,
+    /// Standard deviation of the actions' noise at the end of a training; None: no bound. From the middle of the training on it is
+    /// at most this number to a power that grows from 0 to 1. A policy that learns with much noise, and is used without,
+    /// walks faster and turns farther than commanded: feet that shake slip.
+    pub final_std: Option<f64>,
     /// Options of the task.
     pub env_kwargs: Map<String, Value>,
 }
 
 /// Names in files; `policy` exists for stable-baselines3 and is always MlpPolicy.
-const NAMES: [&str; 22] = [
+const NAMES: [&str; 23] = [
     "n_envs",
     "n_timesteps",
     "seconds",
@@ -83,6 +87,7 @@ const NAMES: [&str; 22] = [
     "target_kl",
     "policy_kwargs",
     "gait_prior",
+    "final_std",
     "env_kwargs",
 ];
 
@@ -119,6 +124,7 @@ impl Default for Hyperparameters {
             net_arch: [vec![64, 64], vec![64, 64]],
             log_std_init: 0.0,
             gait_prior: 0,
+            final_std: None,
             env_kwargs: Map::new(),
         }
     }
@@ -159,6 +165,7 @@ impl Hyperparameters {
             "target_kl" => self.target_kl = optional(value, |v| number(name, v, 1e-9, 1e9))?,
             "policy_kwargs" => self.policy_kwargs(object(name, value)?)?,
             "gait_prior" => self.gait_prior = whole(name, value, 0.0, 1e12)? as u64,
+            "final_std" => self.final_std = optional(value, |v| number(name, v, 1e-3, 1.0))?,
             "env_kwargs" => self.env_kwargs = object(name, value)?.clone(),
             _ => return Err(Error::unknown("setting", name, &NAMES)),
         }
@@ -199,6 +206,13 @@ impl Hyperparameters {
         Ok(())
     }
 
+    /// The largest logarithm of a deviation when the share `done` of a training is done; see `final_std`.
+    pub fn most_log_std(&self, done: f64) -> f32 {
+        self.final_std.map_or(f32::INFINITY, |last| {
+            if done > 0.5 { ((2.0 * done - 1.0) * last.ln()) as f32 } else { f32::INFINITY }
+        })
+    }
+
     /// The settings as an entry of a file.
     pub fn json(&self) -> Value {
         json!({
@@ -226,6 +240,7 @@ impl Hyperparameters {
                 "net_arch": {"pi": self.net_arch[0], "vf": self.net_arch[1]},
             },
             "gait_prior": self.gait_prior,
+            "final_std": self.final_std,
             "env_kwargs": self.env_kwargs,
         })
     }

@@ -202,7 +202,8 @@ impl Teacher {
             }
             [] => String::new(),
             all => format!(
-                "; reward terms are weaker by which the plain gait would lose more than a tenth of what following earns: {}",
+                "; reward terms are weaker by which the plain gait would lose more than {} % of what following earns: {}",
+                100.0 * DEAR,
                 all.join(", ")
             ),
         };

@@ -231,6 +231,8 @@ impl<'a, 'r> Training<'a, 'r> {
                 let mut parameters = shared.parameters.write();
                 let norm =
                     self.learnt.adam.step(&mut parameters, &gradient, rate, settings.max_grad_norm, plan.networks.isa);
+                let deviations = &mut parameters[plan.networks.shape.log_std.clone()];
+                deviations.iter_mut().for_each(|own| *own = own.min(settings.most_log_std(done)));
                 if !(norm.is_finite() && (sums.policy + sums.value).is_finite()) {
                     return Err(self.diverged(rate));
                 }

@@ -4,6 +4,7 @@ mod damage;
 mod input;
 #[path = "../testbed/long.rs"]
 mod long;
+mod other_laboratory;
 mod recalibration;
 #[path = "../testbed/mod.rs"]
 mod testbed;
@@ -242,30 +243,6 @@ fn what_depends_on_size_is_not_named_as_a_power_of_depth() {
     let r = sound(&folder.join("discs_force_log.csv"), &experiment).report;
     assert!(r.verdict != Verdict::Named, "{}", r.summary);
     assert!(r.next_experiment.is_some());
-}
-
-/// A log that somebody simulated who had not read this program.
-fn elsewhere(name: &str) -> Report {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/other_laboratory");
-    let experiment = Experiment::load(&folder.join(name).with_extension("toml")).unwrap();
-    sound(&folder.join(name).with_extension("csv"), &experiment).report
-}
-
-/// A force that falls with the path of a trial is in no catalogue: no cause is named, though a power of the depth with a law
-/// beside it predicts well.
-#[test]
-fn a_force_that_depends_on_the_path_has_no_name() {
-    let r = elsewhere("fading_path");
-    assert!(r.causes.is_empty() && r.verdict != Verdict::Named, "{}", r.summary);
-    assert!(r.withheld.iter().flat_map(|w| &w.why).any(|why| why.contains("a law beside it")), "{}", r.summary);
-}
-
-/// A plate slows down within four samples at the end of its trials, where a negative delay looks beyond later samples.
-#[test]
-fn a_plate_that_stops_has_no_delay() {
-    let r = elsewhere("drag_that_stops");
-    assert_eq!((r.verdict, r.causes.len(), &*r.causes[0].id), (Verdict::Named, 1, "inertial_drag"), "{}", r.summary);
-    holds(&r, 2.779);
 }
 
 /// A log of simulated grains, which no force theory made, and facts about it.

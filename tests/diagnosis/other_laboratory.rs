@@ -1,0 +1,74 @@
+//! Logs of laboratories whose errors are not those of the test bed.
+
+use crate::{diagnosis, holds, named_alone, sound, testbed};
+use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::nuisance::CauseKind;
+use sandgait::diagnose::report::Report;
+use sandgait::diagnose::verdict::Verdict;
+use std::path::Path;
+use testbed::Hidden;
+
+/// A log that somebody simulated who had not read this program.
+fn elsewhere(name: &str) -> Report {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/other_laboratory");
+    let experiment = Experiment::load(&folder.join(name).with_extension("toml")).unwrap();
+    sound(&folder.join(name).with_extension("csv"), &experiment).report
+}
+
+/// A force that falls with the path of a trial is in no catalogue: no cause is named, though a power of the depth with a law
+/// beside it predicts well.
+#[test]
+fn a_force_that_depends_on_the_path_has_no_name() {
+    let r = elsewhere("fading_path");
+    assert!(r.causes.is_empty() && r.verdict != Verdict::Named, "{}", r.summary);
+    assert!(r.withheld.iter().flat_map(|w| &w.why).any(|why| why.contains("a law beside it")), "{}", r.summary);
+}
+
+/// A plate slows down within four samples at the end of its trials, where a negative delay looks beyond later samples.
+#[test]
+fn a_plate_that_stops_has_no_delay() {
+    let r = elsewhere("drag_that_stops");
+    assert_eq!((r.verdict, r.causes.len(), &*r.causes[0].id), (Verdict::Named, 1, "inertial_drag"), "{}", r.summary);
+    holds(&r, 2.779);
+}
+
+/// Filters at their bounds take the place of a long delay: beside them the delay was −4 ms.
+#[test]
+fn a_late_log_is_late() {
+    let r = elsewhere("late_log");
+    named_alone(&r, "delay", CauseKind::Measurement);
+    assert!((r.causes[0].value - 0.03).abs() < 2e-3, "{}", r.summary);
+}
+
+/// A load cell that loses 25 % from the first trial to the last one is no weaker sand. Trials are in random order.
+#[test]
+fn a_load_cell_that_drifts_is_named() {
+    let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
+    let mut lines = log.lines();
+    let header = lines.next().unwrap();
+    let force: Vec<bool> = header.split(',').map(|name| ["Fx", "Fz", "Ty"].contains(&name)).collect();
+    let mut trials: Vec<(&str, Vec<&str>)> = Vec::new();
+    for line in lines {
+        let trial = line.split(',').next().unwrap();
+        match trials.last_mut().filter(|last| last.0 == trial) {
+            Some(last) => last.1.push(line),
+            None => trials.push((trial, vec![line])),
+        }
+    }
+    let count = trials.len();
+    let stride = (count / 2 + 1..).find(|s| (2..=*s).all(|d| s % d != 0 || count % d != 0)).unwrap();
+    let mut text = header.to_owned();
+    for k in 0..count {
+        let share = 1.0 - 0.25 * k as f64 / (count - 1) as f64;
+        for line in &trials[k * stride % count].1 {
+            let cells = line.split(',').zip(&force).map(|(cell, force)| match force {
+                true => (share * cell.parse::<f64>().unwrap()).to_string(),
+                false => cell.to_owned(),
+            });
+            text += &format!("\n{}", cells.collect::<Vec<_>>().join(","));
+        }
+    }
+    let r = diagnosis(&text).report;
+    named_alone(&r, "gain_drift", CauseKind::Measurement);
+    holds(&r, -0.25);
+}
