@@ -7,6 +7,7 @@ use sandgait::env::shard::Shard;
 use sandgait::robots::{self, Import};
 use sandgait::sand::Medium;
 use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
+use sandgait::train::teacher::suit;
 use serde_json::{Value, json};
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
@@ -160,6 +161,43 @@ fn what_is_no_legged_robot_is_refused() {
     let long = read(&chain(150), "urdf").unwrap();
     assert!(long.check_legged().is_err());
     assert!(begin.elapsed().as_secs_f64() < 5.0, "{:?}", begin.elapsed());
+}
+
+/// With `joints` "legs" an arm holds its default position, whatever its action is. `sandgait train` takes this for robots with arms,
+/// unless the option is given or the training goes on without it.
+#[test]
+fn arms_hold_their_position() {
+    let limit = r#"<limit lower="-3" upper="3" effort="50" velocity="50"/>"#;
+    let arm = ball("arm", 0.05) + &joint("shoulder", "base", "arm", "0.3 0 0.2", "0 1 0", limit);
+    let text = quadruped([-2.6, -0.6], false).replace(r#"<joint name="rr_hip""#, &(arm + r#"<joint name="rr_hip""#));
+    let import = read(&text, "urdf").unwrap();
+    let shoulder = import.tree.joints().position(|j| j.name == "shoulder").unwrap();
+    let robot = pack(&import);
+    let moved = |joints: &str| {
+        let options =
+            json!({"robot": robot, "ground": "rigid", "domain_rand": null, "angle_noise": 0.0, "joints": joints});
+        let blueprint = Blueprint::new(ID, options).unwrap();
+        let mut shard = Shard::new(&blueprint, 1).unwrap();
+        shard.reset(|_| true, Some(&[0]), |_| None);
+        let mut action = vec![0.0; import.tree.joints().count()];
+        action[shoulder] = 1.0;
+        (0..50).for_each(|_| shard.step(&action));
+        (shard.state(0).angles[shoulder] - import.stance.angles[shoulder]).abs()
+    };
+    let (held, free) = (moved("legs"), moved("all"));
+    assert!(held < 0.05 && free > 0.2, "{held} {free}");
+    let wrong = Blueprint::new(ID, json!({"robot": robot, "joints": "arms"})).err().unwrap().to_string();
+    assert!(wrong.contains("joints \"arms\" is unknown"), "{wrong}");
+    let suited = |given: Value, kept: Value| {
+        let mut options = given;
+        options["robot"] = json!(robot);
+        let suited = suit(&mut options, &kept).unwrap();
+        (options["joints"].clone(), suited.note().is_some())
+    };
+    assert_eq!(suited(json!({}), Value::Null), (json!("legs"), true));
+    assert_eq!(suited(json!({"joints": "all"}), Value::Null), (json!("all"), false));
+    assert_eq!(suited(json!({}), json!({"ground": "rigid"})), (Value::Null, false));
+    assert_eq!(suited(json!({}), json!({"joints": "legs"})), (json!("legs"), true));
 }
 
 /// A joint that follows another stays within 2 mrad of its line while the leader moves, within 20 mrad when feet hit the

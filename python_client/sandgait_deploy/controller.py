@@ -110,7 +110,9 @@ class Controller:
         scale = np.array([servo.scale for servo in policy.servos])
         if max_change is not None and not max_change > 0.0:
             raise Refused(f"max_change: {max_change} must be above 0 rad")
-        self._max_change = 2.0 * scale if max_change is None else np.full(len(scale), max_change)
+        # Joints that the policy holds move to their default position, as fast as the others may.
+        most = 2.0 * np.where(scale > 0.0, scale, scale.max())
+        self._max_change = most if max_change is None else np.full(len(scale), max_change)
         self._default = np.array([servo.default for servo in policy.servos])
         self._range = np.array([servo.range for servo in policy.servos]).T
         self._log = None if log is None else Log(log, policy)

@@ -4,7 +4,7 @@ use super::arguments::{NameList, NameOrPath, Numbers, whole};
 use super::declare::{Study, StudyWork};
 use super::inputs::{Inputs, SENT_TEXT};
 use super::options::{OptionArgs, unfelt_option};
-use super::result::{StudyColumn, StudyResult, StudyTable};
+use super::result::{RowColumn, StudyColumn, StudyResult, StudyTable};
 use super::trained::{TrainedTask, in_folder, policy_file, task_and_options};
 use crate::env::Task;
 use crate::env::gait::HexapodGait;
@@ -200,7 +200,7 @@ fn report(about: &Value, rows: &[EvaluationRow]) -> String {
 }
 
 /// The columns of results for commands.
-const COMMANDS: [(&str, &str, fn(&CommandResult) -> f64); 8] = [
+const COMMANDS: [RowColumn<'_, CommandResult>; 8] = [
     ("command_lin_vel_x", "m/s", |l| l.command[0]),
     ("command_lin_vel_y", "m/s", |l| l.command[1]),
     ("command_ang_vel_yaw", "rad/s", |l| l.command[2]),

@@ -59,7 +59,7 @@ pub enum ColumnValues {
 }
 
 /// A column of rows of type `R`: its name, its unit, and its value in a row.
-type RowColumn<'a, R> = (&'a str, &'a str, fn(&R) -> f64);
+pub type RowColumn<'a, R> = (&'a str, &'a str, fn(&R) -> f64);
 
 impl StudyColumn {
     pub fn numbers(name: &str, unit: &str, values: impl IntoIterator<Item = f64>) -> Self {

@@ -111,7 +111,7 @@ fn robot(blueprint: &Blueprint) -> Value {
             "leg_length": stance.map(|stance| stance.leg_length),
             "feet": model.tree.as_ref().map(feet),
         },
-        "targets": joint_targets(model, scale),
+        "targets": joint_targets(model, scale, task.option("joints") == "legs"),
         "servo_rate": 1.0 / task.option("dt").as_f64().unwrap_or(0.002),
         "commands": task.command_ranges(),
         "clock_frequency": task.option("gait_clock"),

@@ -33,7 +33,7 @@ pub fn golden(task: &str, options: &Value, onnx: &[u8]) -> Result<Option<String>
     let command = [0, 1, 2].map(|k| COMMAND[k] * ranges[k][1]);
     shard.set_command(0, command);
     let scale = blueprint.task.option("action_scale").as_f64();
-    let targets = joint_targets(blueprint.task.model(), scale);
+    let targets = joint_targets(blueprint.task.model(), scale, blueprint.task.option("joints") == "legs");
     let mut action = vec![0.0; shard.actions()];
     let mut text = header(&blueprint);
     for step in 0..BEFORE + STEPS {
@@ -79,7 +79,7 @@ fn line<T: std::fmt::Display>(text: &mut String, numbers: impl Iterator<Item = T
 /// The columns have the names of a robot's log (docs/diagnosis_files.md).
 fn header(blueprint: &Blueprint) -> String {
     let (spec, joints) = (blueprint.task.spec(), blueprint.task.model().joint_names());
-    let targets = joint_targets(blueprint.task.model(), None);
+    let targets = joint_targets(blueprint.task.model(), None, false);
     let motors: Vec<&str> = targets.iter().map(|servo| &servo.joint[..]).collect();
     let mut names: Vec<String> = ["t", "command_x", "command_y", "command_yaw"].map(str::to_owned).to_vec();
     names.extend(["w", "x", "y", "z"].map(|axis| format!("quat_{axis}")));

@@ -290,3 +290,20 @@ fn layers(name: &str, value: &Value) -> Result<Vec<usize>> {
         sizes.ok_or_else(|| Error::invalid(name, format!("{value} is no list of at most {MOST_LAYERS} sizes")))?;
     sizes.iter().map(|size| Ok(whole(name, size, 1.0, MOST_WIDTH)? as usize)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_noise_falls_in_the_second_half() {
+        let entry =
+            |last: Value| Hyperparameters::from_entry(json!({"final_std": last}).as_object().unwrap_or(&Map::new()));
+        let settings = entry(json!(0.04)).unwrap();
+        let most = [0.0, 0.5, 0.75, 1.0].map(|done| settings.most_log_std(done).exp());
+        assert_eq!(most[..2], [f32::INFINITY; 2]);
+        assert!((most[2] - 0.2).abs() < 1e-6 && (most[3] - 0.04).abs() < 1e-6, "{most:?}");
+        assert_eq!(entry(Value::Null).unwrap().most_log_std(1.0), f32::INFINITY);
+        assert!(entry(json!(0)).is_err());
+    }
+}

@@ -18,6 +18,7 @@ const COMMANDS: [&str; 3] = ["commanded lin_vel_x", "commanded lin_vel_y", "comm
 /// Options with the frequency of the observed clock, with the greatest speeds of commands and with the width of the tracking
 /// terms, and the reward term for long steps.
 const CLOCK_RATE: &str = "gait_clock";
+const JOINTS: &str = "joints";
 const SPEEDS: &str = "max_velocity";
 const SIGMA: &str = "tracking_sigma";
 const AIR_TIME: &str = "feet_air_time";
@@ -50,14 +51,16 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     GaitPrior::of(task.model(), number("action_scale"), number(CLOCK_RATE))
 }
 
-/// For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
+/// For a robot with arms, holds their joints. For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
 /// the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of commands along one axis, and the
 /// weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes standing the
 /// best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
-    let Some(prior) = plain_gait(&Blueprint::new(LeggedVelocity::ID, options.clone())?)? else {
-        return Ok(Suited::default());
+    let blueprint = Blueprint::new(LeggedVelocity::ID, options.clone())?;
+    let held = hold_arms(&blueprint, options, kept);
+    let Some(prior) = plain_gait(&blueprint)? else {
+        return Ok(Suited { held, ..Suited::default() });
     };
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
     if options[CLOCK_RATE].is_null() {
@@ -97,7 +100,22 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         }
     };
     options["rewards"] = Value::Object(rewards);
-    Ok(Suited { speeds, weaker, kept: kept_weights })
+    Ok(Suited { speeds, weaker, kept: kept_weights, held })
+}
+
+/// Holds the joints of waist, arms and head, if the option is not given: their noise throws a biped over before it has learnt to stand.
+/// Returns their number. A training that goes on keeps what it has.
+fn hold_arms(blueprint: &Blueprint, options: &mut Value, kept: &Value) -> usize {
+    let count = blueprint.task.model().tree.as_ref().map_or(0, |tree| tree.upper_joints().len());
+    if count == 0 || !options[JOINTS].is_null() {
+        return 0;
+    }
+    let held = if kept.is_null() { json!("legs") } else { kept[JOINTS].clone() };
+    if held.is_null() {
+        return 0;
+    }
+    options[JOINTS] = held;
+    if options[JOINTS] == "legs" { count } else { 0 }
 }
 
 /// What [`suit`] has changed.
@@ -109,6 +127,20 @@ pub struct Suited {
     weaker: Vec<(&'static str, f64)>,
     /// Terms whose weights are those of the training that goes on, with these.
     kept: Vec<String>,
+    /// Number of joints that are in no leg and hold their default position.
+    held: usize,
+}
+
+impl Suited {
+    /// A line that says which joints are held.
+    pub fn note(&self) -> Option<String> {
+        (self.held > 0).then(|| {
+            format!(
+                "{} joints that are in no leg hold their default position (--option joints=all moves them)",
+                self.held
+            )
+        })
+    }
 }
 
 /// Terms of the reward by which the plain gait loses more than [`DEAR`] when it walks forward, and the weights with which it

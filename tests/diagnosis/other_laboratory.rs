@@ -56,7 +56,8 @@ fn a_load_cell_that_drifts_is_named() {
         }
     }
     let count = trials.len();
-    let stride = (count / 2 + 1..).find(|s| (2..=*s).all(|d| s % d != 0 || count % d != 0)).unwrap();
+    let stride =
+        (count / 2 + 1..).find(|s| (2..=*s).all(|d| !(s.is_multiple_of(d) && count.is_multiple_of(d)))).unwrap();
     let mut text = header.to_owned();
     for k in 0..count {
         let share = 1.0 - 0.25 * k as f64 / (count - 1) as f64;

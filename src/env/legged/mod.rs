@@ -17,8 +17,8 @@ mod reward;
 mod units;
 
 pub use draws::{Commands, DomainRand, MOST_COMMAND, SAND};
-use options::action_scales;
 pub use options::{LeggedOptions, ReliefOptions};
+use options::{action_scales, legs_alone};
 pub use reward::Rewards;
 pub use units::Units;
 
@@ -111,11 +111,11 @@ pub struct JointTarget {
     pub target_time: Option<f64>,
 }
 
-/// The target of each action of LeggedVelocity in `model`; `action_scale`: the option.
-pub fn joint_targets(model: &Model, action_scale: Option<f64>) -> Vec<JointTarget> {
+/// The target of each action of LeggedVelocity in `model`; `action_scale`: the option; `legs`: do actions move the joints of legs alone?
+pub fn joint_targets(model: &Model, action_scale: Option<f64>, legs: bool) -> Vec<JointTarget> {
     let Some(tree) = &model.tree else { return Vec::new() };
     let (names, followers) = (model.joint_names(), tree.tree.followers());
-    let scales = action_scales(tree, action_scale);
+    let scales = action_scales(tree, action_scale, legs);
     let driven = (0..names.len()).filter(|i| followers.iter().all(|f| f.joint != *i));
     let joints: Vec<_> = tree.tree.joints().collect();
     let target = |i: usize| JointTarget {
@@ -193,7 +193,7 @@ impl Task for LeggedVelocity {
         let (joints, rewards) = (&setup.model.joint_names(), options.rewards);
         let feet: Vec<String> = tree.stance.feet.iter().map(|i| tree.tree.bodies[*i].name.clone()).collect();
         let followers = tree.tree.followers();
-        let scales = action_scales(tree, options.action_scale).into_iter().enumerate();
+        let scales = action_scales(tree, options.action_scale, legs_alone(&options.joints)?).into_iter().enumerate();
         let driven: Vec<_> = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
         let motors: Vec<String> = driven.iter().map(|(i, _)| joints[*i].clone()).collect();
         let (observation, figures) =

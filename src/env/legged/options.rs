@@ -42,7 +42,7 @@ options! {
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
         ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
-        max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ (sandgait train finds it for six and more legs)";
+        max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
         tracking_sigma: f64 = TRACKING_SIGMA, [1e-3, 10.0], reset, "width of the tracking terms (legged_gym: 0.25)";
@@ -51,10 +51,11 @@ options! {
         stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad], in place of the robot's";
         damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad], in place of the robot's";
         action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
+        joints: String = JOINTS[0].into(), "joints that actions move: all or legs; the others hold their default position";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
         self_contact: bool = true, "legs do not pass through each other or the base: capsules in the box around each body's points of contact, without friction";
-        gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of a clock in the observation, its sine and cosine, which begins with the episode [Hz]; tracking terms then take the velocity's average over a stride; None: no clock (sandgait train finds it for six and more legs)";
+        gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of a clock in the observation, its sine and cosine, which begins with the episode [Hz]; tracking terms then take the velocity's average over a stride; None: no clock";
         measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
 }
@@ -159,15 +160,27 @@ const SCALES: [f64; 2] = [0.4, 0.5];
 /// Scale of a sliding joint without a range, as a part of the legs' length: our choice, less than the 0.4 of a hinge.
 const SLIDING: f64 = 0.25;
 
-/// The offset of each joint's target at action 1 [rad or m].
-pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>) -> Vec<f64> {
+/// Values of the option `joints`.
+const JOINTS: [&str; 2] = ["all", "legs"];
+
+/// Do actions move the joints of legs alone?
+pub(super) fn legs_alone(joints: &str) -> Result<bool> {
+    let place = JOINTS.iter().position(|known| *known == joints);
+    place.map(|k| k == 1).ok_or_else(|| Error::unknown("joints", joints, &JOINTS))
+}
+
+/// The offset of each joint's target at action 1 [rad or m]; with `legs`, 0 for joints that are in no leg.
+pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>, legs: bool) -> Vec<f64> {
+    let upper = tree.upper_joints();
     let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.actuator.torque_limit) {
         (JointKind::Slide, _) => joint.range.map_or(SLIDING * tree.stance.leg_length, |[low, high]| (high - low) / 2.0),
         (_, Some(limit)) if motor.kp > 0.0 => (limit / motor.kp).clamp(SCALES[0], SCALES[1]),
         _ => SCALES[1],
     };
-    let joints = tree.tree.joints().zip(&tree.motors);
-    joints.map(|joint| given.unwrap_or_else(|| scale(joint))).collect()
+    let joints = tree.tree.joints().zip(&tree.motors).enumerate();
+    joints
+        .map(|(i, joint)| if legs && upper.contains(&i) { 0.0 } else { given.unwrap_or_else(|| scale(joint)) })
+        .collect()
 }
 
 /// Kinds of ground besides media: hard ground, slabs of hard ground in sand, and dunes.

@@ -57,7 +57,7 @@ impl GaitPrior {
         let Some(tree) = &model.tree else { return Ok(None) };
         let Some(gait) = AlternatingGait::of(tree).filter(|_| tree.stance.legs.len() >= LEGS) else { return Ok(None) };
         let followers = tree.tree.followers();
-        let scales = action_scales(tree, action_scale).into_iter().enumerate();
+        let scales = action_scales(tree, action_scale, false).into_iter().enumerate();
         let driven = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
         let units = Units::of(model);
         let asked = units.commanded();

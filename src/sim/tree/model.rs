@@ -69,6 +69,12 @@ impl TreeModel {
         Self::with_contacts(tree, plates, contacts)
     }
 
+    /// Places of the joints that move a body which is neither base nor part of a leg: of waist, arms and head.
+    pub fn upper_joints(&self) -> Vec<usize> {
+        let jointed = (0..self.tree.bodies.len()).filter(|i| self.tree.bodies[*i].joint.is_some());
+        jointed.enumerate().filter(|(_, body)| self.stance.upper.contains(body)).map(|(joint, _)| joint).collect()
+    }
+
     /// The same as [`Self::new`], for points of contact that the caller supplies.
     pub fn with_contacts(
         tree: Tree,
