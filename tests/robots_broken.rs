@@ -102,6 +102,11 @@ fn broken_urdf() -> Vec<Broken> {
         entry("a mimic", changed("<dynamics", "<mimic joint=\"x\"/><dynamics"), &["mimic", "FL_abduction"]),
         entry("a box of no size", urdf.replace("0.36 0.16 0.08", "0.36 0 0.08"), &["size"]),
         entry("an unknown shape", urdf.replace("<box size=\"0.36 0.16 0.08\"/>", "<cone/>"), &["cone"]),
+        entry(
+            "no mass at all",
+            robot(&format!("{}{}{}", link("a", "", ""), link("b", "", ""), joint("j", "a", "b"))),
+            &["no body has a mass", "<inertial>"],
+        ),
         entry("no mesh", with_mesh("absent.stl"), &["absent.stl", "line 1"]),
         entry("no such package", with_mesh("package://nowhere/foot.stl"), &["nowhere"]),
         entry("climbing", with_mesh("../../../../../../etc/passwd"), &["outside"]),

@@ -229,19 +229,22 @@ pub fn limit(followed: &CommandTracking, level: Option<f64>) -> String {
         format!("{x:.2} m/s forward, {y:.2} m/s to the left, {yaw:.2} rad/s")
     };
     let worst = |of: fn(&CommandResult) -> f64| followed.lines.iter().max_by(|a, b| of(a).total_cmp(&of(b)));
-    match (level, worst(|l| l.falls), worst(|l| l.error)) {
-        (Some(level), ..) if level < TRAINED => format!(
-            "The training ended at level {level:.2} of 1 of its curriculum, so the robot has hardly met ground of full difficulty: \
-             train longer (--resume --seconds)."
-        ),
-        (_, Some(line), _) if line.falls > 0.0 => {
+    let early = level.filter(|level| *level < TRAINED).map(|level| {
+        format!(
+            "The training ended at level {level:.2} of 1 of its curriculum, with easier commands, pushes and ground than these: train \
+             longer (--resume --seconds). "
+        )
+    });
+    let worst = match (worst(|l| l.falls), worst(|l| l.error)) {
+        (Some(line), _) if line.falls > 0.0 => {
             format!("It falls most often, in {} of the trials, under the command {}.", percent(line.falls), name(line))
         }
-        (.., Some(line)) => {
+        (_, Some(line)) => {
             format!("It follows the command {} worst, with an error of {}.", name(line), percent(line.error))
         }
         _ => String::new(),
-    }
+    };
+    early.unwrap_or_default() + &worst
 }
 
 /// Mean level from which on most environments have full difficulty: our choice.

@@ -19,7 +19,9 @@ pub fn check(merged: &Merged, notes: &mut Notes) -> Result<()> {
         let wrong = |reason: &str| Error::invalid(format!("body {:?}", body.name), reason);
         let carries = bodies.iter().skip(1).any(|b| b.parent == i);
         if body.mass == 0.0 && i == 0 {
-            return Err(wrong("the base has no mass"));
+            let none = bodies.iter().all(|b| b.mass == 0.0);
+            let whose = if none { "no body has a mass" } else { "the base has no mass" };
+            return Err(wrong(&format!("{whose}: add <inertial> with its mass and inertia")));
         }
         if body.mass == 0.0 && !(merged.massless[i] && carries) {
             return Err(wrong("moves without mass"));

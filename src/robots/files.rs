@@ -166,10 +166,13 @@ impl Files {
             return Err(Error::file(Path::new(&name), reason));
         }
         if let Some(rest) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
-            // Some files have three slashes.
-            let rest = rest.trim_start_matches('/');
-            let (package, rest) = rest.split_once('/').unwrap_or((rest, ""));
-            let root = self.package(package).ok_or_else(|| self.unknown(&name, package))?;
+            // Some files have three slashes, and some of these name no package: such a path is relative to the description.
+            let whole = rest.trim_start_matches('/');
+            let (package, rest) = whole.split_once('/').unwrap_or((whole, ""));
+            let Some(root) = self.package(package) else {
+                let beside = self.inside(&self.folder.join(whole), Path::new(whole), &[&self.root]);
+                return beside.ok().filter(|path| path.is_file()).ok_or_else(|| self.unknown(&name, package));
+            };
             return self.inside(&root.join(rest), Path::new(rest), &[&root]);
         }
         let plain = name.strip_prefix("file://").unwrap_or(&name);
@@ -198,7 +201,10 @@ impl Files {
         {
             return Ok(found);
         }
-        let all: Vec<PathBuf> = inside.iter().flat_map(|root| packages::same_name(root, name)).collect();
+        // A folder that the user allows may lie in the package, or hold it.
+        let mut all: Vec<PathBuf> = inside.iter().flat_map(|root| packages::same_name(root, name)).collect();
+        all.sort();
+        all.dedup();
         match &all[..] {
             [one] => {
                 let shown = one.strip_prefix(&self.root).unwrap_or(one).display();

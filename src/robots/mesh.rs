@@ -34,6 +34,8 @@ pub struct MeshFile {
 #[derive(Default)]
 pub struct Meshes {
     read: HashMap<PathBuf, Arc<Vec<Triangle>>>,
+    /// Scaled meshes, by file and the bits of the factors.
+    scaled: HashMap<(PathBuf, [u64; 3]), Arc<Vec<Triangle>>>,
     triangles: usize,
 }
 
@@ -43,8 +45,14 @@ impl Meshes {
         if file.scale == Vector3::repeat(1.0) {
             return Ok(whole);
         }
+        let key = (file.path.clone(), [0, 1, 2].map(|k| file.scale[k].to_bits()));
+        if let Some(known) = self.scaled.get(&key) {
+            return Ok(known.clone());
+        }
         self.count(whole.len(), &file.path)?;
-        Ok(Arc::new(scaled(&whole, &file.scale)))
+        let made = Arc::new(scaled(&whole, &file.scale));
+        self.scaled.insert(key, made.clone());
+        Ok(made)
     }
 
     fn whole(&mut self, path: &PathBuf) -> Result<Arc<Vec<Triangle>>> {
@@ -84,7 +92,10 @@ impl Meshes {
     fn count(&mut self, more: usize, path: &std::path::Path) -> Result<()> {
         self.triangles += more;
         if self.triangles > MOST_TOGETHER {
-            return Err(Error::file(path, format!("the robot's meshes have more than {MOST_TOGETHER} triangles")));
+            return Err(Error::file(
+                path,
+                format!("the robot's meshes have more than {MOST_TOGETHER} triangles: make them coarser"),
+            ));
         }
         Ok(())
     }

@@ -278,6 +278,13 @@ impl Import {
         if legs.len() > 1 || (legs.len() == 1 && known_free) {
             return Ok(());
         }
+        if tree.bodies.iter().all(|body| body.shapes.is_empty()) {
+            let reason = format!(
+                "{:?} has no collision shapes, with which legs touch the ground: add <collision> or <geom>",
+                tree.name
+            );
+            return Err(Error::invalid("robot", reason));
+        }
         let found = match legs.first().and_then(|leg| leg.last()) {
             Some(end) => format!("one branch, which ends in {:?}", tree.bodies[*end].name),
             None => "none".into(),

@@ -78,8 +78,11 @@ impl Mirror {
     }
 }
 
+/// What a refused setting can be replaced by.
+pub const REMEDY: &str = "; --set mirror=false";
+
 fn refused(why: &str) -> Error {
-    Error::invalid("mirror", format!("{why}; --set mirror=false"))
+    Error::invalid("mirror", format!("{why}{REMEDY}"))
 }
 
 /// The mirror of a robot from a file.

@@ -2,7 +2,7 @@
 
 use super::adam::Adam;
 use super::collect::PolicyContext;
-use super::mirror::Mirror;
+use super::mirror::{self, Mirror};
 use super::network::{NetworkSizes, Networks};
 use super::normal::{Normalizer, NormalizerScales};
 use super::saved_environments::SavedEnvironments;
@@ -98,11 +98,17 @@ impl TrainingPlan {
         let mirror = match (settings.mirror, Mirror::both(&blueprint)) {
             (Some(false), _) => None,
             (_, Ok(mirror)) => {
-                notes.extend(Mirror::notes(&blueprint));
+                let own = Mirror::notes(&blueprint);
+                if settings.mirror.is_none() && own.is_empty() {
+                    notes.push("left and right are learnt together (--set mirror=false: apart)".into());
+                }
+                notes.extend(own);
                 Some(mirror)
             }
             (Some(true), Err(reason)) => return Err(reason),
             (None, Err(reason)) => {
+                let reason = reason.to_string();
+                let reason = reason.strip_suffix(mirror::REMEDY).unwrap_or(&reason);
                 notes.push(format!("left and right are learnt apart: {reason}"));
                 None
             }

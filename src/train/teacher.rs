@@ -168,7 +168,8 @@ fn affordable(options: &Value, prior: GaitPrior) -> Result<Vec<(&'static str, f6
         COLLISION => 0.0,
         _ => two_digits(term.weight * most / lost),
     };
-    Ok(dear.map(|(term, lost)| (term.name, affordable(term, lost))).collect())
+    let weaker = dear.map(|(term, lost)| (term.name, affordable(term, lost), term.weight));
+    Ok(weaker.filter(|(_, now, before)| now != before).map(|(name, now, _)| (name, now)).collect())
 }
 
 /// `x` with two digits, so that it reads well.

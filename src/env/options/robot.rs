@@ -44,7 +44,10 @@ impl RobotName {
             Some((_, json)) => packed::unpack(json)?,
             None if packed::is_packed(text) => packed::unpack_compressed(text)?,
             None => {
-                let known = [TREES[0].0, "a .urdf or MJCF file, as `sandgait robot FILE --pack` packs it"];
+                let known = [
+                    TREES[0].0,
+                    "a name of `sandgait robots`, a .urdf or MJCF file (for a server: packed by `sandgait robot FILE --pack`)",
+                ];
                 return Err(Error::unknown("robot", text, &known));
             }
         };

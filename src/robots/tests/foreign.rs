@@ -185,6 +185,17 @@ fn paths_of_another_computer_are_found_by_their_names() {
         let import = read(away).unwrap_or_else(|e| panic!("{away}: {e}"));
         assert!(import.warnings.iter().any(|w| w.contains("another computer")), "{away}: {:?}", import.warnings);
     }
+    // A folder that is allowed, and in which the package lies, has no second file.
+    let whole = Reading { packages: vec![root.path().to_owned(), bot.clone()], ..Reading::default() };
+    write(bot.join("urdf/r.urdf"), with_mesh("/home/me/ws/trunk.obj")).unwrap();
+    assert_eq!(shapes(&load_from(&bot.join("urdf/r.urdf"), &Posture::default(), &whole).unwrap()), 1);
+    // A package without a name is the folder of the description, as onshape-to-robot writes it.
+    write(bot.join("urdf/trunk.obj"), FACETS).unwrap();
+    for here in ["package:///trunk.obj", "package://trunk.obj"] {
+        assert_eq!(shapes(&read(here).unwrap_or_else(|e| panic!("{here}: {e}"))), 1);
+    }
+    let climbs = read("package:///../../../etc/hostname").err().unwrap();
+    assert!(climbs.contains("no folder called"), "{climbs}");
     let two = read("/home/me/leg.obj").err().unwrap();
     assert!(two.contains("left/leg.obj") && two.contains("right/leg.obj"), "{two}");
     let none = read("/home/me/tail.obj").err().unwrap();
