@@ -317,7 +317,7 @@ fn a_legged_training_is_scored_by_commands() {
         .unwrap();
     assert!(evaluated.status.success(), "{}", String::from_utf8_lossy(&evaluated.stderr));
     let lines = table(&String::from_utf8(evaluated.stdout).unwrap());
-    assert_eq!(lines[..], table(&text)[table(&text).len() - lines.len()..]);
+    assert!(table(&text).windows(lines.len()).any(|part| part == lines), "{text}");
     assert_eq!(lines.len(), 10, "nine commands and their mean");
     assert_eq!(std::fs::read_to_string(csv).unwrap().lines().count(), 10);
 }

@@ -190,8 +190,8 @@ fn paths_of_another_computer_are_found_by_their_names() {
     write(bot.join("urdf/r.urdf"), with_mesh("/home/me/ws/trunk.obj")).unwrap();
     assert_eq!(shapes(&load_from(&bot.join("urdf/r.urdf"), &Posture::default(), &whole).unwrap()), 1);
     // A package without a name is the folder of the description, as onshape-to-robot writes it.
-    write(bot.join("urdf/trunk.obj"), FACETS).unwrap();
-    for here in ["package:///trunk.obj", "package://trunk.obj"] {
+    write(bot.join("urdf/body.obj"), FACETS).unwrap();
+    for here in ["package:///body.obj", "package://body.obj"] {
         assert_eq!(shapes(&read(here).unwrap_or_else(|e| panic!("{here}: {e}"))), 1);
     }
     let climbs = read("package:///../../../etc/hostname").err().unwrap();
