@@ -274,8 +274,8 @@ fn a_training_begins_with_the_plain_gait() {
     // While it imitates, the policy's loss is half of the squared distance from the gait's action.
     let last = trained.last.unwrap();
     assert!(last.policy_loss > 0.0 && last.policy_loss < 0.6, "{}", last.policy_loss);
-    // The noise of actions has fallen to its end.
-    assert!(last.deviation < 0.06, "{}", last.deviation);
+    // The curriculum has hardly begun, so the noise of actions has not fallen.
+    assert!(last.deviation > 0.2, "{}", last.deviation);
     assert_eq!(settings["options"]["tracking_sigma"], json!(0.03));
     assert_eq!(settings["options"]["commands"]["single_axis"], json!(0.5));
     // Given options stay, and without the setting nothing is added.

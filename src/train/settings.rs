@@ -206,11 +206,11 @@ impl Hyperparameters {
         Ok(())
     }
 
-    /// The largest logarithm of a deviation when the share `done` of a training is done; see `final_std`.
-    pub fn most_log_std(&self, done: f64) -> f32 {
-        self.final_std.map_or(f32::INFINITY, |last| {
-            if done > 0.5 { ((2.0 * done - 1.0) * last.ln()) as f32 } else { f32::INFINITY }
-        })
+    /// The largest logarithm of a deviation when the share `done` of a training is done; see `final_std`. A curriculum at a mean
+    /// `level` below 1 still needs the noise: the logarithm is multiplied by the level's square (our choice: by a third at 0.6).
+    pub fn most_log_std(&self, done: f64, level: f64) -> f32 {
+        let share = level.powi(2) * (2.0 * done - 1.0);
+        self.final_std.filter(|_| share > 0.0).map_or(f32::INFINITY, |last| (share * last.ln()) as f32)
     }
 
     /// The settings as an entry of a file.
@@ -300,10 +300,12 @@ mod tests {
         let entry =
             |last: Value| Hyperparameters::from_entry(json!({"final_std": last}).as_object().unwrap_or(&Map::new()));
         let settings = entry(json!(0.04)).unwrap();
-        let most = [0.0, 0.5, 0.75, 1.0].map(|done| settings.most_log_std(done).exp());
+        let most = [0.0, 0.5, 0.75, 1.0].map(|done| settings.most_log_std(done, 1.0).exp());
         assert_eq!(most[..2], [f32::INFINITY; 2]);
         assert!((most[2] - 0.2).abs() < 1e-6 && (most[3] - 0.04).abs() < 1e-6, "{most:?}");
-        assert_eq!(entry(Value::Null).unwrap().most_log_std(1.0), f32::INFINITY);
+        assert_eq!(settings.most_log_std(1.0, 0.0), f32::INFINITY);
+        assert!((settings.most_log_std(1.0, 0.5).exp() - 0.04_f32.powf(0.25)).abs() < 1e-6);
+        assert_eq!(entry(Value::Null).unwrap().most_log_std(1.0, 1.0), f32::INFINITY);
         assert!(entry(json!(0)).is_err());
     }
 }

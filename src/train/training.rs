@@ -200,6 +200,7 @@ impl<'a, 'r> Training<'a, 'r> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
         let imitates = plan.imitates(self.learnt.updates);
+        let most = settings.most_log_std(done, self.level().unwrap_or(1.0));
         let rows = shared.rollout.read().rows();
         let mut random = plan.random(self.learnt.updates, u64::MAX - 1);
         let mut all = LossSums::default();
@@ -232,7 +233,7 @@ impl<'a, 'r> Training<'a, 'r> {
                 let norm =
                     self.learnt.adam.step(&mut parameters, &gradient, rate, settings.max_grad_norm, plan.networks.isa);
                 let deviations = &mut parameters[plan.networks.shape.log_std.clone()];
-                deviations.iter_mut().for_each(|own| *own = own.min(settings.most_log_std(done)));
+                deviations.iter_mut().for_each(|own| *own = own.min(most));
                 if !(norm.is_finite() && (sums.policy + sums.value).is_finite()) {
                     return Err(self.diverged(rate));
                 }
