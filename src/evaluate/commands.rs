@@ -250,7 +250,7 @@ pub fn limit(followed: &CommandTracking, level: Option<f64>) -> String {
 /// Mean level from which on most environments have full difficulty: our choice.
 const TRAINED: f64 = 0.9;
 
-fn percent(share: f64) -> String {
+pub(super) fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 

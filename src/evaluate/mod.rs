@@ -110,9 +110,7 @@ impl Evaluation {
             return Err(Error::invalid("task", format!("{}: {reason}", LeggedVelocity::ID)));
         }
         let text = |name: &str| base.task.option(name).as_str().unwrap_or_default().to_owned();
-        if !media.is_empty() && !text("sand").is_empty() {
-            return Err(Error::invalid("media", "the option sand is given already; leave out one of the two"));
-        }
+        no_sand_beside(media, &base)?;
         let media = if media.is_empty() { vec![text("medium")] } else { media.clone() };
         let slopes = if slopes.is_empty() {
             vec![base.task.option("slope_deg").as_f64().unwrap_or_default()]
@@ -191,6 +189,15 @@ impl Evaluation {
             "search_seeds": search,
             "version": env!("CARGO_PKG_VERSION"),
         })
+    }
+}
+
+/// Refuses a list of media beside the option `sand`, which would replace each of them.
+fn no_sand_beside(media: &[String], base: &Blueprint) -> Result<()> {
+    let given = base.task.option("sand").as_str().is_some_and(|sand| !sand.is_empty());
+    match given && !media.is_empty() {
+        true => Err(Error::invalid("media", "the option sand is given already; leave out one of the two")),
+        false => Ok(()),
     }
 }
 

@@ -1,8 +1,12 @@
 //! The matrix of sands: how well one policy of LeggedVelocity follows its commands on several grounds, slopes and strengths.
 
-use super::commands::{CommandStudy, CommandTracking};
+use super::commands::{CommandStudy, CommandTracking, percent};
 use super::gait::PolicySource;
-use crate::error::{Error, Result, check_range};
+use super::no_sand_beside;
+use crate::env::Task;
+use crate::env::legged::LeggedVelocity;
+use crate::env::registry::Blueprint;
+use crate::error::{Result, check_range};
 use crate::progress::{PartialProgress, Progress};
 use serde_json::{Value, json};
 
@@ -45,13 +49,12 @@ pub struct SandMatrix {
 impl SandMatrix {
     /// `options`: see [`CommandStudy::new`].
     pub fn new(policy: PolicySource, options: Value, lists: &GroundLists) -> Result<Self> {
-        if !lists.media.is_empty() && options["sand"].as_str().is_some_and(|sand| !sand.is_empty()) {
-            return Err(Error::invalid("media", "the option sand is given already; leave out one of the two"));
-        }
+        let base = Blueprint::new(LeggedVelocity::ID, options.clone())?;
+        no_sand_beside(&lists.media, &base)?;
         let own = |list: &[f64], other: f64| if list.is_empty() { vec![other] } else { list.to_vec() };
-        let medium = options["ground"].as_str().unwrap_or("poppy-loose").to_owned();
+        let medium = base.task.option("ground").as_str().unwrap_or_default().to_owned();
         let media = if lists.media.is_empty() { vec![medium] } else { lists.media.clone() };
-        let slopes = own(&lists.slopes, options["slope_deg"].as_f64().unwrap_or_default());
+        let slopes = own(&lists.slopes, base.task.option("slope_deg").as_f64().unwrap_or_default());
         let strengths = own(&lists.strengths, 1.0);
         let mut grounds = Vec::new();
         for medium in &media {
@@ -96,7 +99,6 @@ impl SandMatrix {
 /// Cells of the text table, the heading first. The first three columns say the ground.
 pub fn cells(rows: &[(MatrixGround, CommandTracking)]) -> Vec<Vec<String>> {
     let heading = ["ground", "slope [°]", "strength", "mean error", "worst error", "fell"];
-    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     let line = |(ground, followed): &(MatrixGround, CommandTracking)| {
         let strength = if ground.strength.is_nan() { "–".into() } else { ground.strength.to_string() };
         vec![

@@ -3,7 +3,7 @@
 
 use super::plan::TrainingPlan;
 use crate::env::Task;
-use crate::env::legged::{LeggedVelocity, MOST_TILT, joint_targets};
+use crate::env::legged::{JointTarget, LeggedVelocity, MOST_TILT, joint_targets};
 use crate::env::registry::Blueprint;
 use crate::env::sensors::{Part, Sensor};
 use crate::env::spec::{Column, Spec};
@@ -82,11 +82,16 @@ fn default_pose(blueprint: &Blueprint) -> Vec<f64> {
     blueprint.task.model().tree.as_ref().map_or(Vec::new(), |tree| tree.stance.angles.clone())
 }
 
+/// The target of each action of LeggedVelocity.
+pub(super) fn targets(blueprint: &Blueprint) -> Vec<JointTarget> {
+    let task = &blueprint.task;
+    joint_targets(task.model(), task.option("action_scale").as_f64(), task.option("joints") == "legs")
+}
+
 /// What drives the robot of LeggedVelocity: targets, torques, commands, the pose in which it stands, and what the
 /// policy was trained with.
 fn robot(blueprint: &Blueprint) -> Value {
     let (task, model) = (&blueprint.task, blueprint.task.model());
-    let scale = task.option("action_scale").as_f64();
     let stance = model.tree.as_ref().map(|tree| &tree.stance);
     let feet = |tree: &std::sync::Arc<crate::sim::tree::TreeModel>| {
         tree.stance.feet.iter().map(|foot| tree.tree.bodies[*foot].name.clone()).collect::<Vec<_>>()
@@ -111,7 +116,7 @@ fn robot(blueprint: &Blueprint) -> Value {
             "leg_length": stance.map(|stance| stance.leg_length),
             "feet": model.tree.as_ref().map(feet),
         },
-        "targets": joint_targets(model, scale, task.option("joints") == "legs"),
+        "targets": targets(blueprint),
         "servo_rate": 1.0 / task.option("dt").as_f64().unwrap_or(0.002),
         "commands": task.command_ranges(),
         "clock_frequency": task.option("gait_clock"),

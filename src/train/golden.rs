@@ -1,9 +1,10 @@
 //! The golden trace of a policy of LeggedVelocity: readings, observations, actions, targets and torques of one walk, by
 //! which every program that runs the policy can be checked, boundary by boundary.
 
+use super::describe::targets;
 use crate::env::Shard;
 use crate::env::Task;
-use crate::env::legged::{LeggedVelocity, joint_targets};
+use crate::env::legged::LeggedVelocity;
 use crate::env::registry::Blueprint;
 use crate::error::Result;
 use crate::policy::Network;
@@ -32,8 +33,7 @@ pub fn golden(task: &str, options: &Value, onnx: &[u8]) -> Result<Option<String>
     let ranges = blueprint.task.command_ranges().unwrap_or_default();
     let command = [0, 1, 2].map(|k| COMMAND[k] * ranges[k][1]);
     shard.set_command(0, command);
-    let scale = blueprint.task.option("action_scale").as_f64();
-    let targets = joint_targets(blueprint.task.model(), scale, blueprint.task.option("joints") == "legs");
+    let targets = targets(&blueprint);
     let mut action = vec![0.0; shard.actions()];
     let mut text = header(&blueprint);
     for step in 0..BEFORE + STEPS {
@@ -79,7 +79,7 @@ fn line<T: std::fmt::Display>(text: &mut String, numbers: impl Iterator<Item = T
 /// The columns have the names of a robot's log (docs/diagnosis_files.md).
 fn header(blueprint: &Blueprint) -> String {
     let (spec, joints) = (blueprint.task.spec(), blueprint.task.model().joint_names());
-    let targets = joint_targets(blueprint.task.model(), None, false);
+    let targets = targets(blueprint);
     let motors: Vec<&str> = targets.iter().map(|servo| &servo.joint[..]).collect();
     let mut names: Vec<String> = ["t", "command_x", "command_y", "command_yaw"].map(str::to_owned).to_vec();
     names.extend(["w", "x", "y", "z"].map(|axis| format!("quat_{axis}")));

@@ -51,10 +51,11 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     GaitPrior::of(task.model(), number("action_scale"), number(CLOCK_RATE))
 }
 
-/// For a robot with arms, holds their joints. For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the observation to the gait's strides,
-/// the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of commands along one axis, and the
-/// weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes standing the
-/// best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
+/// For a robot with arms, holds their joints. For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the
+/// observation to the gait's strides, the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of
+/// commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
+/// six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
+/// before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let blueprint = Blueprint::new(LeggedVelocity::ID, options.clone())?;
