@@ -69,8 +69,8 @@ def run(controller: Controller, port: Port, forward: float, steps: int) -> str:
     return "the port was closed"
 
 
-def simulated(controller: Controller, file: Path, port: Port) -> Any:
-    """A robot in MuJoCo at the other end of the port, in a thread."""
+def simulated(controller: Controller, file: Path, port: Port) -> tuple[Any, threading.Thread]:
+    """A robot in MuJoCo at the other end of the port, and its thread, which ends when the port is closed."""
     from sandgait.certify.walk import make_plant
     from sandgait.plant import Conditions
 
@@ -99,8 +99,9 @@ def simulated(controller: Controller, file: Path, port: Port) -> Any:
                 stiffness = own["stiffness"] * driven
                 plant.drive(row[:-1] if driven else None, stiffness, own["damping"], 1.0 / policy.rate)
 
-    threading.Thread(target=robot, daemon=True).start()
-    return plant
+    thread = threading.Thread(target=robot, daemon=True)
+    thread.start()
+    return plant, thread
 
 
 def main() -> None:
@@ -113,18 +114,24 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--log", type=Path)
     given = parser.parse_args()
-    plant = None
     try:
         from sandgait_deploy import read_policy
 
         joints = read_policy(given.policy).joints
         with Controller(given.policy, joints=joints, quaternion="wxyz", log=given.log) as controller:
+            plant = thread = None
             if given.simulated:
                 near, far = os.openpty()
-                plant = simulated(controller, given.simulated, Port(near))
+                plant, thread = simulated(controller, given.simulated, Port(near))
             else:
                 far = os.open(given.port, os.O_RDWR | os.O_NOCTTY)
-            print(run(controller, Port(far), given.forward, round(given.seconds * controller.policy.rate)))
+            port = Port(far)
+            try:
+                print(run(controller, port, given.forward, round(given.seconds * controller.policy.rate)))
+            finally:
+                port.close()
+                if thread is not None:
+                    thread.join()  # an interpreter that ends while a thread computes in MuJoCo may crash
             if plant is not None:
                 print("it is at x = {:.2f} m, y = {:.2f} m, z = {:.2f} m".format(*np.asarray(plant.data.qpos[:3])))
     except Refused as error:
