@@ -142,7 +142,7 @@ fn commands_follow_from_servos_and_sand() {
         let mut options = options(&hexapod(&BESIDE, true, speed, 1.0));
         options["ground"] = ground.into();
         let blueprint = Blueprint::new(ID, options).unwrap();
-        let prior = GaitPrior::of(blueprint.task.model(), None, None).unwrap().unwrap();
+        let prior = GaitPrior::of(blueprint.task.model(), None, false, None).unwrap().unwrap();
         (prior.speeds(), Units::of(blueprint.task.model()).commanded())
     };
     let ((fast, ends), (slow, _), (hard, _)) =
@@ -153,7 +153,7 @@ fn commands_follow_from_servos_and_sand() {
     assert!(slow[1] < 0.8 * fast[1], "{fast:?} {slow:?}");
     assert!(fast[0] < 0.8 * hard[0], "{fast:?} {hard:?}");
     let sandcat = Blueprint::new(ID, json!({})).unwrap();
-    assert_eq!(GaitPrior::of(sandcat.task.model(), None, None).unwrap(), None);
+    assert_eq!(GaitPrior::of(sandcat.task.model(), None, false, None).unwrap(), None);
 }
 
 /// Legs on a circle: those in front and behind are legs, and each is its own mirror image.

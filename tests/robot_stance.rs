@@ -7,6 +7,7 @@ use sandgait::env::shard::Shard;
 use sandgait::robots::{self, Import};
 use sandgait::sand::Medium;
 use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
+use sandgait::train::describe;
 use sandgait::train::teacher::suit;
 use serde_json::{Value, json};
 use std::f64::consts::{PI, TAU};
@@ -163,8 +164,8 @@ fn what_is_no_legged_robot_is_refused() {
     assert!(begin.elapsed().as_secs_f64() < 5.0, "{:?}", begin.elapsed());
 }
 
-/// With `joints` "legs" an arm holds its default position, whatever its action is. `sandgait train` takes this for robots with arms,
-/// unless the option is given or the training goes on without it.
+/// With `joints` "legs" an arm holds its default position and no number of the action moves it. `sandgait train` takes this for robots
+/// with arms, unless the option is given or the training goes on without it.
 #[test]
 fn arms_hold_their_position() {
     let limit = r#"<limit lower="-3" upper="3" effort="50" velocity="50"/>"#;
@@ -179,13 +180,19 @@ fn arms_hold_their_position() {
         let blueprint = Blueprint::new(ID, options).unwrap();
         let mut shard = Shard::new(&blueprint, 1).unwrap();
         shard.reset(|_| true, Some(&[0]), |_| None);
-        let mut action = vec![0.0; import.tree.joints().count()];
-        action[shoulder] = 1.0;
+        let names: Vec<_> = blueprint.task.spec().action.iter().map(|column| column.name.contains("shoulder")).collect();
+        let action: Vec<f32> = names.iter().map(|arm| if *arm { 1.0 } else { 0.0 }).collect();
         (0..50).for_each(|_| shard.step(&action));
-        (shard.state(0).angles[shoulder] - import.stance.angles[shoulder]).abs()
+        let about = describe::of_task(&blueprint, b"network");
+        let held = about["held"].as_array().unwrap().iter().map(|servo| servo["joint"].clone()).collect::<Vec<_>>();
+        let moved = (shard.state(0).angles[shoulder] - import.stance.angles[shoulder]).abs();
+        (moved, names.len(), about["targets"].as_array().unwrap().len(), held)
     };
-    let (held, free) = (moved("legs"), moved("all"));
-    assert!(held < 0.05 && free > 0.2, "{held} {free}");
+    let (legs, all) = (moved("legs"), moved("all"));
+    let joints = import.tree.joints().count();
+    assert!(legs.0 < 0.05 && all.0 > 0.2, "{legs:?} {all:?}");
+    assert_eq!((legs.1, legs.2, legs.3), (joints - 1, joints - 1, vec![json!("shoulder")]));
+    assert_eq!((all.1, all.2, all.3), (joints, joints, vec![]));
     let wrong = Blueprint::new(ID, json!({"robot": robot, "joints": "arms"})).err().unwrap().to_string();
     assert!(wrong.contains("joints \"arms\" is unknown"), "{wrong}");
     let suited = |given: Value, kept: Value| {

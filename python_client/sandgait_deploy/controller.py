@@ -110,7 +110,7 @@ class Controller:
         scale = np.array([servo.scale for servo in policy.servos])
         if max_change is not None and not max_change > 0.0:
             raise Refused(f"max_change: {max_change} must be above 0 rad")
-        # Joints that the policy holds move to their default position, as fast as the others may.
+        # Joints that are held move to their default position, as fast as the others may.
         most = 2.0 * np.where(scale > 0.0, scale, scale.max())
         self._max_change = most if max_change is None else np.full(len(scale), max_change)
         self._default = np.array([servo.default for servo in policy.servos])
@@ -126,7 +126,7 @@ class Controller:
         self._targets: Floats | None = None
         self._from: Floats = self._default
         self._steps = self._halted = 0
-        self._last_action = np.zeros(len(self._default), np.float32)
+        self._last_action = np.zeros(len(self.policy.action_low), np.float32)
         self._observer.forget()
 
     def stand(self) -> None:
@@ -140,7 +140,7 @@ class Controller:
         if self.state != "standing":
             raise Refused(f"walk: the state is {self.state}, not standing; call stand, then step until it stands")
         self.state, self._steps = "walking", 0
-        self._last_action = np.zeros(len(self._default), np.float32)
+        self._last_action = np.zeros(len(self.policy.action_low), np.float32)
         self._observer.forget()
 
     def stop(self) -> None:

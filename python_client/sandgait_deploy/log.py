@@ -36,7 +36,8 @@ class Log:
         names += [f"{short}:{joint}" for short in _JOINTS.values() for joint in policy.joints]
         names += ["command_x", "command_y", "command_yaw"]
         driven = [servo.joint for servo in policy.servos]
-        names += [f"{kind}:{joint}" for kind in ("target", "action") for joint in driven]
+        names += [f"target:{joint}" for joint in driven]
+        names += [f"action:{joint}" for joint in driven[: len(policy.action_low)]]
         try:
             self._rows: _Csv | _Mcap = (_Mcap if Path(path).suffix == ".mcap" else _Csv)(Path(path), names)
         except OSError as error:
@@ -54,7 +55,7 @@ class Log:
         for name in _JOINTS:
             cells += _cells(read.get(name), len(policy.joints))
         cells += _cells(command, 3)
-        cells += _cells(targets, len(policy.servos)) + _cells(output.action, len(policy.servos))
+        cells += _cells(targets, len(policy.servos)) + _cells(output.action, len(policy.action_low))
         self._rows.write(cells)
 
     def close(self) -> None:

@@ -80,7 +80,7 @@ class Policy:
     observation: tuple[Column, ...]
     action_low: npt.NDArray[np.float32]
     action_high: npt.NDArray[np.float32]
-    #: One for each number of the action.
+    #: One for each number of the action, then those of joints that are held, whose scale is 0.
     servos: tuple[Servo, ...]
     #: Ranges of commands forward, to the left [m/s] and yaw [rad/s]: [3, 2].
     commands: Floats
@@ -113,14 +113,15 @@ class Policy:
 
     @property
     def driven(self) -> list[int]:
-        """For each number of the action the place of its joint in `joints`."""
+        """For each servo the place of its joint in `joints`."""
         return [self.joints.index(servo.joint) for servo in self.servos]
 
     def target(self, action: npt.NDArray[Any]) -> Floats:
-        """Target of each driven joint [rad]."""
-        default, scale = self._servos("default"), self._servos("scale")
+        """Target of each driven joint [rad]; for joints that are held, the default position."""
+        targets, scale = self._servos("default"), self._servos("scale")
         clipped = np.clip(np.asarray(action, np.float32), self.action_low, self.action_high)
-        return np.asarray(default + scale * clipped.astype(np.float64))
+        targets[: len(clipped)] += scale[: len(clipped)] * clipped.astype(np.float64)
+        return targets
 
     def torque(self, target: Floats, position: Floats, velocity: Floats) -> Floats:
         """Torque of each driven joint by the servos' law [N·m], from the joints' targets, positions and velocities."""
@@ -195,7 +196,7 @@ def _policy(path: Path, about: dict[str, Any]) -> Policy:
         observation=columns,
         action_low=np.array([c["low"] for c in about["action"]], np.float32),
         action_high=np.array([c["high"] for c in about["action"]], np.float32),
-        servos=tuple(_servo(s) for s in about["targets"]),
+        servos=tuple(_servo(s) for s in [*about["targets"], *about.get("held", [])]),
         commands=np.array(about["commands"], np.float64).reshape(3, 2),
         clock_frequency=float(about["clock_frequency"] or 0.0),
         velocity_by_differences=bool(about["velocity_by_differences"]),
@@ -205,18 +206,18 @@ def _policy(path: Path, about: dict[str, Any]) -> Policy:
         network=network,
         network_is_described=digest == about["network_sha256"],
     )
-    _check(path, policy)
+    _check(path, policy, len(about["targets"]))
     return policy
 
 
-def _check(path: Path, policy: Policy) -> None:
+def _check(path: Path, policy: Policy, targets: int) -> None:
     """What a schema cannot say."""
     reason = None
     unknown = [servo.joint for servo in policy.servos if servo.joint not in policy.joints]
     if unknown:
         reason = f"target {unknown[0]!r} is none of the joints"
-    elif len(policy.servos) != len(policy.action_low):
-        reason = f"{len(policy.servos)} targets and {len(policy.action_low)} actions"
+    elif targets != len(policy.action_low):
+        reason = f"{targets} targets and {len(policy.action_low)} actions"
     elif any(not c.reading for c in policy.observation):
         reason = f"observation {next(c.name for c in policy.observation if not c.reading)!r} has no reading"
     elif not policy.network_is_described:

@@ -3,7 +3,7 @@
 
 use super::plan::TrainingPlan;
 use crate::env::Task;
-use crate::env::legged::{JointTarget, LeggedVelocity, MOST_TILT, joint_targets};
+use crate::env::legged::{JointTarget, LEGS, LeggedVelocity, MOST_TILT, joint_targets};
 use crate::env::registry::Blueprint;
 use crate::env::sensors::{Part, Sensor};
 use crate::env::spec::{Column, Spec};
@@ -82,10 +82,10 @@ fn default_pose(blueprint: &Blueprint) -> Vec<f64> {
     blueprint.task.model().tree.as_ref().map_or(Vec::new(), |tree| tree.stance.angles.clone())
 }
 
-/// The target of each action of LeggedVelocity.
-pub(super) fn targets(blueprint: &Blueprint) -> Vec<JointTarget> {
+/// The target of each action of LeggedVelocity, and those of joints that are held.
+pub(super) fn targets(blueprint: &Blueprint) -> [Vec<JointTarget>; 2] {
     let task = &blueprint.task;
-    joint_targets(task.model(), task.option("action_scale").as_f64(), task.option("joints") == "legs")
+    joint_targets(task.model(), task.option("action_scale").as_f64(), task.option("joints") == LEGS)
 }
 
 /// What drives the robot of LeggedVelocity: targets, torques, commands, the pose in which it stands, and what the
@@ -96,6 +96,7 @@ fn robot(blueprint: &Blueprint) -> Value {
     let feet = |tree: &std::sync::Arc<crate::sim::tree::TreeModel>| {
         tree.stance.feet.iter().map(|foot| tree.tree.bodies[*foot].name.clone()).collect::<Vec<_>>()
     };
+    let [targets, held] = targets(blueprint);
     let trained = CONDITIONS.map(|name| (name.to_owned(), task.option(name)));
     let sensors = task.option("sensors");
     json!({
@@ -116,7 +117,8 @@ fn robot(blueprint: &Blueprint) -> Value {
             "leg_length": stance.map(|stance| stance.leg_length),
             "feet": model.tree.as_ref().map(feet),
         },
-        "targets": targets(blueprint),
+        "targets": targets,
+        "held": held,
         "servo_rate": 1.0 / task.option("dt").as_f64().unwrap_or(0.002),
         "commands": task.command_ranges(),
         "clock_frequency": task.option("gait_clock"),

@@ -33,7 +33,7 @@ pub fn golden(task: &str, options: &Value, onnx: &[u8]) -> Result<Option<String>
     let ranges = blueprint.task.command_ranges().unwrap_or_default();
     let command = [0, 1, 2].map(|k| COMMAND[k] * ranges[k][1]);
     shard.set_command(0, command);
-    let targets = targets(&blueprint);
+    let targets = targets(&blueprint).concat();
     let mut action = vec![0.0; shard.actions()];
     let mut text = header(&blueprint);
     for step in 0..BEFORE + STEPS {
@@ -47,7 +47,8 @@ pub fn golden(task: &str, options: &Value, onnx: &[u8]) -> Result<Option<String>
             row.extend(state.to_body(state.velocity).into_iter().chain(state.to_body(state.angular_velocity)));
             row.extend(state.angles.iter().chain(&state.rates).chain(&state.torques));
             let joints = look.model.joint_names();
-            let driven = targets.iter().zip(&action).map(|(servo, action)| {
+            let actions = action.iter().chain(std::iter::repeat(&0.0));
+            let driven = targets.iter().zip(actions).map(|(servo, action)| {
                 let at = joints.iter().position(|joint| *joint == servo.joint).unwrap_or(0);
                 let target = servo.default + servo.scale * f64::from(*action);
                 let torque = servo.stiffness * (target - state.angles[at]) - servo.damping * state.rates[at];
@@ -79,7 +80,7 @@ fn line<T: std::fmt::Display>(text: &mut String, numbers: impl Iterator<Item = T
 /// The columns have the names of a robot's log (docs/diagnosis_files.md).
 fn header(blueprint: &Blueprint) -> String {
     let (spec, joints) = (blueprint.task.spec(), blueprint.task.model().joint_names());
-    let targets = targets(blueprint);
+    let targets = targets(blueprint).concat();
     let motors: Vec<&str> = targets.iter().map(|servo| &servo.joint[..]).collect();
     let mut names: Vec<String> = ["t", "command_x", "command_y", "command_yaw"].map(str::to_owned).to_vec();
     names.extend(["w", "x", "y", "z"].map(|axis| format!("quat_{axis}")));

@@ -3,9 +3,9 @@
 //! it; the critic learns its returns. Afterwards nothing holds the policy to it.
 
 use super::settings::Hyperparameters;
-use crate::env::legged::LeggedVelocity;
 use crate::env::legged::columns::CLOCK;
 use crate::env::legged::prior::GaitPrior;
+use crate::env::legged::{LEGS, LeggedVelocity};
 use crate::env::registry::Blueprint;
 use crate::env::spec::RewardTerm;
 use crate::env::{Shard, Task};
@@ -48,7 +48,7 @@ const FALL: &str = "termination";
 pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     let task = &blueprint.task;
     let number = |name: &str| task.option(name).as_f64();
-    GaitPrior::of(task.model(), number("action_scale"), number(CLOCK_RATE))
+    GaitPrior::of(task.model(), number("action_scale"), task.option(JOINTS) == LEGS, number(CLOCK_RATE))
 }
 
 /// For a robot with arms, holds their joints. For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the
@@ -60,6 +60,7 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let blueprint = Blueprint::new(LeggedVelocity::ID, options.clone())?;
     let held = hold_arms(&blueprint, options, kept);
+    let blueprint = if held > 0 { Blueprint::new(LeggedVelocity::ID, options.clone())? } else { blueprint };
     let Some(prior) = plain_gait(&blueprint)? else {
         return Ok(Suited { held, ..Suited::default() });
     };
@@ -111,12 +112,12 @@ fn hold_arms(blueprint: &Blueprint, options: &mut Value, kept: &Value) -> usize 
     if count == 0 || !options[JOINTS].is_null() {
         return 0;
     }
-    let held = if kept.is_null() { json!("legs") } else { kept[JOINTS].clone() };
+    let held = if kept.is_null() { json!(LEGS) } else { kept[JOINTS].clone() };
     if held.is_null() {
         return 0;
     }
     options[JOINTS] = held;
-    if options[JOINTS] == "legs" { count } else { 0 }
+    if options[JOINTS] == LEGS { count } else { 0 }
 }
 
 /// What [`suit`] has changed.

@@ -16,6 +16,8 @@ import pytest
 
 import sandgait
 import sandgait_deploy
+from sandgait.certify import walk
+from sandgait.plant import Conditions
 from sandgait_deploy import Controller, Output, Refused, read_policy
 from sandgait_deploy.__main__ import main
 from sandgait_deploy.network import Network
@@ -349,3 +351,41 @@ def test_a_new_training_leaves_all_that_a_robot_needs(tmp_path: Path) -> None:
     assert policy.trained_with["action_delay"] == [0.0, 0.03]
     verified = controller.verify()
     assert verified, str(verified)
+
+
+def test_joints_that_no_action_moves_are_held(tmp_path: Path) -> None:
+    """A robot with an arm whose training moves its legs alone."""
+    arm = (
+        '<body name="arm" pos="0.1 0 0.05"><joint name="shoulder" range="-1 1"/><geom size="0.03" mass="0.2"/></body>'
+        '<body name="FL_hip" '
+    )
+    robot = tmp_path / "armed.xml"
+    text = (ROOT / "robots/sandcat.xml").read_text()
+    servo = '<actuator><position name="shoulder" joint="shoulder"/>'
+    robot.write_text(text.replace('<body name="FL_hip" ', arm).replace("<actuator>", servo))
+    settings = {"n_envs": 4, "n_steps": 32, "batch_size": 64, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}}
+    training = sandgait.train(
+        "LeggedVelocity",
+        out=tmp_path / "armed",
+        timesteps=256,
+        settings=settings,
+        progress=False,
+        robot=str(robot),
+        ground="rigid",
+        action_delay=[0.0, 0.0],
+    )
+    log = tmp_path / "walk.csv"
+    controller, still = standing(training.out, log=log)
+    policy = controller.policy
+    assert (len(policy.joints), len(policy.servos), len(policy.action_low)) == (13, 13, 12)
+    assert policy.servos[-1].joint == "shoulder"
+    assert controller.verify(), str(controller.verify())
+    controller.walk()
+    output = controller.step(still(), (0.1, 0.0, 0.0))
+    assert output.targets is not None
+    assert output.targets[controller.joints.index("shoulder")] == policy.servos[-1].default
+    controller.close()
+    names = log.read_text().splitlines()[0].split(",")
+    assert ("target:shoulder" in names, "action:shoulder" in names) == (True, False)
+    job = walk.Job(str(training.out), str(robot), Conditions(ground="rigid"), ((0.1, 0.0, 0.0),))
+    assert not walk.outcome(job).refused

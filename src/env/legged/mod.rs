@@ -17,8 +17,8 @@ mod reward;
 mod units;
 
 pub use draws::{Commands, DomainRand, MOST_COMMAND, SAND};
-pub use options::{LeggedOptions, ReliefOptions};
-use options::{action_scales, legs_alone};
+pub use options::{LEGS, LeggedOptions, ReliefOptions};
+use options::{driven, legs_alone};
 pub use reward::Rewards;
 pub use units::Units;
 
@@ -111,17 +111,17 @@ pub struct JointTarget {
     pub target_time: Option<f64>,
 }
 
-/// The target of each action of LeggedVelocity in `model`; `action_scale`: the option; `legs`: do actions move the joints of legs alone?
-pub fn joint_targets(model: &Model, action_scale: Option<f64>, legs: bool) -> Vec<JointTarget> {
-    let Some(tree) = &model.tree else { return Vec::new() };
-    let (names, followers) = (model.joint_names(), tree.tree.followers());
-    let scales = action_scales(tree, action_scale, legs);
-    let driven = (0..names.len()).filter(|i| followers.iter().all(|f| f.joint != *i));
+/// The target of each action of LeggedVelocity in `model`, and those of the joints that are held, whose scale is 0.
+/// `action_scale`: the option; `legs`: do actions move the joints of legs alone?
+pub fn joint_targets(model: &Model, action_scale: Option<f64>, legs: bool) -> [Vec<JointTarget>; 2] {
+    let Some(tree) = &model.tree else { return [Vec::new(), Vec::new()] };
+    let names = model.joint_names();
+    let driven = driven(tree, action_scale, legs);
     let joints: Vec<_> = tree.tree.joints().collect();
-    let target = |i: usize| JointTarget {
+    let target = |(i, scale): (usize, f64)| JointTarget {
         joint: names[i].clone(),
         default: tree.stance.angles[i],
-        scale: scales[i],
+        scale,
         stiffness: tree.motors[i].kp,
         damping: tree.motors[i].kd,
         torque_limit: tree.motors[i].actuator.torque_limit,
@@ -130,7 +130,8 @@ pub fn joint_targets(model: &Model, action_scale: Option<f64>, legs: bool) -> Ve
         range: joints[i].range,
         target_time: joints[i].target_time,
     };
-    driven.map(target).collect()
+    let held = driven.held.into_iter().map(|i| (i, 0.0));
+    [driven.by_actions.into_iter().map(target).collect(), held.map(target).collect()]
 }
 
 impl LeggedVelocity {
@@ -192,9 +193,7 @@ impl Task for LeggedVelocity {
         }
         let (joints, rewards) = (&setup.model.joint_names(), options.rewards);
         let feet: Vec<String> = tree.stance.feet.iter().map(|i| tree.tree.bodies[*i].name.clone()).collect();
-        let followers = tree.tree.followers();
-        let scales = action_scales(tree, options.action_scale, legs_alone(&options.joints)?).into_iter().enumerate();
-        let driven: Vec<_> = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
+        let driven = driven(tree, options.action_scale, legs_alone(&options.joints)?).by_actions;
         let motors: Vec<String> = driven.iter().map(|(i, _)| joints[*i].clone()).collect();
         let (observation, figures) =
             (observation(joints, &motors, options.gait_clock.is_some(), options.measure_heights), figures(&feet));

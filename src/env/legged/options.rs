@@ -161,7 +161,9 @@ const SCALES: [f64; 2] = [0.4, 0.5];
 const SLIDING: f64 = 0.25;
 
 /// Values of the option `joints`.
-const JOINTS: [&str; 2] = ["all", "legs"];
+const JOINTS: [&str; 2] = ["all", LEGS];
+/// With this value, joints that are in no leg are held.
+pub const LEGS: &str = "legs";
 
 /// Do actions move the joints of legs alone?
 pub(super) fn legs_alone(joints: &str) -> Result<bool> {
@@ -169,18 +171,26 @@ pub(super) fn legs_alone(joints: &str) -> Result<bool> {
     place.map(|k| k == 1).ok_or_else(|| Error::unknown("joints", joints, &JOINTS))
 }
 
-/// The offset of each joint's target at action 1 [rad or m]; with `legs`, 0 for joints that are in no leg.
-pub(super) fn action_scales(tree: &TreeModel, given: Option<f64>, legs: bool) -> Vec<f64> {
-    let upper = tree.upper_joints();
+/// The joints that have motors, by their places. Joints that follow others are in neither list.
+pub(super) struct Driven {
+    /// The joint of each action, and the offset of its target at action 1 [rad or m].
+    pub by_actions: Vec<(usize, f64)>,
+    /// Joints that hold their default positions.
+    pub held: Vec<usize>,
+}
+
+/// What actions drive in `tree`. `given`: the option `action_scale`; `legs`: joints that are in no leg are held.
+pub(super) fn driven(tree: &TreeModel, given: Option<f64>, legs: bool) -> Driven {
+    let (upper, followers) = (tree.upper_joints(), tree.tree.followers());
     let scale = |(joint, motor): (&TreeJoint, &TreeMotor)| match (joint.kind, motor.actuator.torque_limit) {
         (JointKind::Slide, _) => joint.range.map_or(SLIDING * tree.stance.leg_length, |[low, high]| (high - low) / 2.0),
         (_, Some(limit)) if motor.kp > 0.0 => (limit / motor.kp).clamp(SCALES[0], SCALES[1]),
         _ => SCALES[1],
     };
-    let joints = tree.tree.joints().zip(&tree.motors).enumerate();
-    joints
-        .map(|(i, joint)| if legs && upper.contains(&i) { 0.0 } else { given.unwrap_or_else(|| scale(joint)) })
-        .collect()
+    let scales = tree.tree.joints().zip(&tree.motors).map(|joint| given.unwrap_or_else(|| scale(joint)));
+    let motors = scales.enumerate().filter(|(i, _)| followers.iter().all(|f| f.joint != *i));
+    let (held, by_actions): (Vec<_>, Vec<_>) = motors.partition(|(i, _)| legs && upper.contains(i));
+    Driven { by_actions, held: held.into_iter().map(|(i, _)| i).collect() }
 }
 
 /// Kinds of ground besides media: hard ground, slabs of hard ground in sand, and dunes.

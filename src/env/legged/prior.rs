@@ -2,7 +2,7 @@
 //! actions, from which a training can start. Meant for robots with six and more legs, which walk without balancing; a
 //! trot of four legs must balance, so its plain form says little.
 
-use super::options::action_scales;
+use super::options::driven;
 use super::units::Units;
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine, EngineKind};
@@ -51,14 +51,13 @@ pub struct GaitPrior {
 }
 
 impl GaitPrior {
-    /// Tries strides with the robot of `model` on its ground; `action_scale` is the option, `clock` the strides in a
-    /// second, if they are given [Hz]. None: the robot has fewer than six legs, or an odd number.
-    pub fn of(model: &Model, action_scale: Option<f64>, clock: Option<f64>) -> Result<Option<Self>> {
+    /// Tries strides with the robot of `model` on its ground; `action_scale` is the option, `legs`: do actions move the joints of
+    /// legs alone, `clock` the strides in a second, if they are given [Hz]. None: the robot has fewer than six legs, or an odd
+    /// number.
+    pub fn of(model: &Model, action_scale: Option<f64>, legs: bool, clock: Option<f64>) -> Result<Option<Self>> {
         let Some(tree) = &model.tree else { return Ok(None) };
         let Some(gait) = AlternatingGait::of(tree).filter(|_| tree.stance.legs.len() >= LEGS) else { return Ok(None) };
-        let followers = tree.tree.followers();
-        let scales = action_scales(tree, action_scale, false).into_iter().enumerate();
-        let driven = scales.filter(|(i, _)| followers.iter().all(|f| f.joint != *i)).collect();
+        let driven = driven(tree, action_scale, legs).by_actions;
         let units = Units::of(model);
         let asked = units.commanded();
         let usual = FREQUENCIES.map(|f| rounded(f * units.rate));
