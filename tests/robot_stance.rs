@@ -180,7 +180,8 @@ fn arms_hold_their_position() {
         let blueprint = Blueprint::new(ID, options).unwrap();
         let mut shard = Shard::new(&blueprint, 1).unwrap();
         shard.reset(|_| true, Some(&[0]), |_| None);
-        let names: Vec<_> = blueprint.task.spec().action.iter().map(|column| column.name.contains("shoulder")).collect();
+        let names: Vec<_> =
+            blueprint.task.spec().action.iter().map(|column| column.name.contains("shoulder")).collect();
         let action: Vec<f32> = names.iter().map(|arm| if *arm { 1.0 } else { 0.0 }).collect();
         (0..50).for_each(|_| shard.step(&action));
         let about = describe::of_task(&blueprint, b"network");

@@ -112,12 +112,12 @@ fn begins_at_rest(poses: &[ArmPose]) -> bool {
 
 /// Loads at the poses behind a first-order filter of time constant `tau` [s], from the loads at its steps: τ ẏ = F
 /// − y. The filter is in steady state half a sample before the log; the solution is exact for a force that is
-/// linear between steps. In a trial that begins at rest, the filter begins with the force at the start of the
-/// motion.
+/// linear between steps. In a trial that begins at rest, the filter is in steady state at the first pose. So a filter whose time
+/// constant goes to 0 leaves the loads as they are.
 pub fn filtered<const N: usize>(poses: &[ArmPose], steps: &[[Wrench; N]], tau: f64) -> Vec<[Wrench; N]> {
     let times = filter_times(poses);
     let rests = begins_at_rest(poses);
-    let mut state = if rests { [[0.0; 3]; N] } else { steps[0] };
+    let mut state = steps[if rests { FILTER_STEPS } else { 0 }];
     let mut out = Vec::with_capacity(poses.len());
     for k in 1..steps.len() {
         let h = times[k] - times[k - 1];
@@ -392,6 +392,25 @@ mod tests {
             let submerged = i as f64 / f64::from(steps);
             let expected = -cohesion * width * length * submerged;
             assert!((with - without - expected).abs() < 1e-6, "{submerged}: {} and not {expected}", with - without);
+        }
+    }
+
+    /// A filter whose time constant goes to 0 leaves forces as they are, also at the first pose of a plate that begins slowly. There
+    /// the filtered force was 0, so fits took the force of the first sample for the effect of a filter.
+    #[test]
+    fn a_fast_filter_changes_nothing() {
+        let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
+        for first in [0.0, 2e-3, 0.2] {
+            let speed = |t: f64| first.max(0.2 * (t / 0.1).min(1.0));
+            let pose = |i: u32| {
+                let t = 5e-3 * f64::from(i);
+                ArmPose { t, center: [0.0, -0.03 - 0.1 * t], velocity: [0.0, -speed(t)], ..ArmPose::default() }
+            };
+            let track = Track::leg(intruder.clone(), 0.0, (0..40).map(pose).collect());
+            let of = |lowpass: f64| forces(Mechanisms { lowpass, ..Mechanisms::default() }, &track);
+            for (i, (fast, none)) in of(1e-7).into_iter().zip(of(0.0)).enumerate() {
+                assert!((fast - none).abs() < 1e-3 * none.abs().max(0.1), "{first} m/s, {i}: {fast} and not {none}");
+            }
         }
     }
 }

@@ -7,7 +7,7 @@ use super::measured::{self, MeasuredFit};
 use super::noise::{Noise, NoiseData, Sizes, sizes_of};
 use super::nuisance::Nuisance;
 use super::screen::{FELT, Scores, Screen, USUAL, starts};
-use super::settling::bent;
+use super::settling::{bent, bound};
 use super::study::FitInputs;
 use super::verdict::{self, Compared, Effect, Role};
 use super::whiten::Whitener;
@@ -69,6 +69,9 @@ pub struct Candidates {
     pub around: Surroundings,
     /// Plain model with coefficients and nuisances fitted within their priors.
     pub base: Fit,
+    /// The nuisances of the base. They are those of the other fits, linearised about the leading one, unless the base is at bounds
+    /// there: then they are linearised about the base itself.
+    pub base_nuisances: Vec<Nuisance>,
     /// The plain model: its coefficients are the stated ones, and nuisances are fitted within their priors.
     pub stated: Fit,
     /// The base, and the leading cause, each with one effect of measuring that may be far larger than stated.
@@ -110,8 +113,10 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     }
     let leading = leading(&straight, &base, &fits);
     let screened = screen.candidates.clone();
-    let (around, stated, measured, absent) = (around.clone(), base.clone(), Vec::new(), Vec::new());
-    let mut found = Candidates { screened, around, base, stated, measured, absent, fits, leading, behind, earlier };
+    let (around, base_nuisances, stated) = (around.clone(), around.nuisances.clone(), base.clone());
+    let (measured, absent) = (Vec::new(), Vec::new());
+    let mut found =
+        Candidates { screened, around, base, base_nuisances, stated, measured, absent, fits, leading, behind, earlier };
     progress.report(0.5, "singles under the noise of the best")?;
     found.settle(study, asked);
     if leading.is_some() {
@@ -122,7 +127,8 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     let mut around = found.around.clone();
     let mut renewed = around.about(study);
     found.leading = self::leading(&renewed, &found.base, &found.fits);
-    found.measured = measured::measured(&renewed, &found.base);
+    found.free_base(&renewed);
+    found.measured = measured::measured(&found.about_base(&renewed), &found.base);
     if let Some(next) = found.about_measured(&renewed, asked) {
         drop(renewed);
         around = next;
@@ -130,10 +136,12 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
         found.around = around.clone();
         found.refit(&renewed);
         found.leading = self::leading(&renewed, &found.base, &found.fits);
-        found.measured = measured::measured(&renewed, &found.base);
+        found.free_base(&renewed);
+        found.measured = measured::measured(&found.about_base(&renewed), &found.base);
     }
-    found.stated = plain_fit(&renewed, &found.base);
-    found.absent = measured::absent(&renewed, &found.base, &found.measured);
+    let own = found.about_base(&renewed);
+    found.stated = plain_fit(&own, &found.base);
+    found.absent = measured::absent(&own, &found.base, &found.measured);
     if let Some(leading) = found.leading.map(|k| &found.fits[k]).filter(|fit| fit.ids.len() == 1) {
         found.measured.extend(measured::measured(&renewed, leading));
     }
@@ -185,6 +193,30 @@ impl Candidates {
     /// The leading fit, or the plain one.
     fn best(&self) -> &Fit {
         self.leading.map_or(&self.base, |k| &self.fits[k])
+    }
+
+    /// A study with the nuisances of the base.
+    pub fn about_base<'a>(&self, study: &FitInputs<'a>) -> FitInputs<'a> {
+        study.with_nuisances(self.base_nuisances.clone())
+    }
+
+    /// Linearises the nuisances about the base if it is at bounds in the linearisation of the others, and fits better so: otherwise
+    /// everything would seem to be better than the plain model. A rough model stays as it is, because this would take many
+    /// simulations.
+    fn free_base(&mut self, study: &FitInputs) {
+        self.base_nuisances = study.nuisances.clone();
+        if study.model.roughness().is_some() || !bound(&self.base) {
+            return;
+        }
+        let own = study.with_nuisances(bent(study, study.whitener, &self.base));
+        let from = Fit { slopes: Vec::new(), ..self.base.clone() };
+        let mut still = from.clone();
+        still.deviations.fill(0.0);
+        let fits = own.fit_from(&[&from, &still]);
+        let best = fits.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
+        if let Some(best) = best.filter(|best| best.objective < self.base.objective) {
+            (self.base, self.base_nuisances) = (best, own.nuisances);
+        }
     }
 
     /// Learns the noise again from the leading fit's residual and fits all candidates again with this noise, until the leading fit

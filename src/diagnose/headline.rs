@@ -59,11 +59,12 @@ pub fn kind_of_mechanism(id: usize) -> CauseKind {
 fn found(c: &Cause) -> String {
     let of = of(c.of.as_deref());
     let half = 0.5 * (c.ci95[1] - c.ci95[0]);
+    let what = kind(&c.id).map_or_else(|| phrase(&c.id), |kind| kind.said(c.value));
     let degrees = match (&*c.unit, c.kind) {
         ("rad", CauseKind::Measurement) => format!(" by {:.1}° (±{:.1}°)", c.value.to_degrees(), half.to_degrees()),
         _ => String::new(),
     };
-    format!("{}{degrees} ({}{of} {} ± {}{})", phrase(&c.id), c.id, digits(c.value), digits(half), after(&c.unit))
+    format!("{what}{degrees} ({}{of} {} ± {}{})", c.id, digits(c.value), digits(half), after(&c.unit))
 }
 
 /// Joins clauses while they fit into a headline.

@@ -169,6 +169,11 @@ pub fn kind(id: &str) -> Option<&'static NuisanceKind> {
 }
 
 impl NuisanceKind {
+    /// The words for an error of this value: what is late by less than nothing is early.
+    pub fn said(&self, value: f64) -> String {
+        if value < 0.0 { self.words.replace(" is late", " is early") } else { self.words.into() }
+    }
+
     /// The id in reports of this error as the answer of a diagnosis: that of the mechanism with the same effect, if there is one.
     pub fn answer(&self, of: Option<&str>) -> &'static str {
         let same = self.mechanism.iter().find(|(channel, _)| *channel == of.unwrap_or(""));

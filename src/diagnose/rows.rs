@@ -57,6 +57,7 @@ impl Fits {
     pub fn nuisances(&self, row: usize) -> &[Nuisance] {
         match self.rows[row].place {
             Place::Plain => &self.plain.nuisances,
+            Place::Stated | Place::Base => &self.candidates.base_nuisances,
             Place::Measured(k) => &self.candidates.measured[k].nuisances,
             Place::Absent(k) => &self.candidates.absent[k].nuisances,
             _ => &self.candidates.around.nuisances,

@@ -142,7 +142,7 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
     let around = candidates.around.clone();
     let renewed = around.about(study);
     let profiled = explored(&renewed, &mut candidates);
-    let alone = laws(&renewed, &candidates.base);
+    let alone = laws(&candidates.about_base(&renewed), &candidates.base);
     let leading = candidates.leading.map(|k| &candidates.fits[k]).filter(|_| !alone.terms.is_empty());
     let beside = leading.map_or_else(Laws::default, |fit| laws(&renewed, fit));
     let plain = plain(&renewed, stated, &candidates);
@@ -159,7 +159,7 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
 /// The plain model, with the stated priors of all effects of measuring.
 fn plain(study: &FitInputs, stated: &FitInputs, candidates: &Candidates) -> MeasuredFit {
     if study.nuisances.iter().all(|n| n.sd == n.stated_sd) {
-        return MeasuredFit { fit: candidates.stated.clone(), nuisances: study.nuisances.clone() };
+        return MeasuredFit { fit: candidates.stated.clone(), nuisances: candidates.base_nuisances.clone() };
     }
     let mut from = candidates.stated.clone();
     from.deviations.iter_mut().for_each(|d| *d = 0.0);

@@ -51,7 +51,8 @@ pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
     let best = selection.fits.fit(lead);
     let [own] = best.ids[..] else { return None };
     let (id, law) = (CATALOG[own].id, CATALOG[own].exponent?);
-    let fit = &selection.fits.candidates.base;
+    let candidates = &selection.fits.candidates;
+    let (study, fit) = (&candidates.about_base(study), &candidates.base);
     let laws = laws(study, fit);
     let power = |term: &Term| {
         let at = |name: &str| term.groups.get(name).copied().unwrap_or(0.0);

@@ -130,8 +130,9 @@ impl ReportView<'_> {
     fn recalibrate(&self, report: &mut Report) {
         let c = &self.selection.fits.candidates;
         let around = c.around.about(self.study);
+        let own = c.about_base(&around);
         let coefficients = self.coefficients();
-        match (strength::factor(&around, &c.base, &c.fits, self.selection.table.degrees), &mut report.recalibration) {
+        match (strength::factor(&own, &c.base, &c.fits, self.selection.table.degrees), &mut report.recalibration) {
             (Some((factor, ci95)), own) => *own = Some(Recalibration { factor, ci95, coefficients }),
             (None, Some(own)) => {
                 own.coefficients = coefficients;
@@ -149,8 +150,8 @@ impl ReportView<'_> {
         let s = self.selection;
         let standing = s.ruling.model > 0 && !s.standing.stated;
         let own = standing.then(|| (s.standing.study(self.study), &s.standing.fit));
-        let around = s.fits.candidates.around.about(self.study);
-        let (study, fit) = own.unwrap_or((around, &s.fits.candidates.base));
+        let (c, around) = (&s.fits.candidates, s.fits.candidates.around.about(self.study));
+        let (study, fit) = own.unwrap_or((c.about_base(&around), &c.base));
         let reach = study.reach(fit, s.table.degrees);
         let [stated, fitted, moved] = [0.0, 1.0, 2.0].map(|step| {
             // At 2: each coefficient one stated standard deviation above its fitted value.
@@ -176,7 +177,7 @@ impl ReportView<'_> {
                 known.filter(|_| within && d.abs() > UNLIKELY && value.value.abs() > CERTAIN * value.sd)
             {
                 let size = format!("{}{} {}{}", n.id, of(n.of.as_deref()), digits(value.value), after(n.unit));
-                large.push((d.abs(), format!("{ALARM}{} ({size})", known.words)));
+                large.push((d.abs(), format!("{ALARM}{} ({size})", known.said(value.value))));
             }
         }
         large.sort_by(|a, b| b.0.total_cmp(&a.0));
