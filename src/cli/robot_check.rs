@@ -157,7 +157,11 @@ impl StandingReport {
             ));
             for (foot, name) in s.feet.iter().zip(&g.feet) {
                 let pressure = foot.pressure.map_or(String::new(), |p| format!(", {:.1} kPa", p / 1e3));
-                text.push_str(&format!("  {name}: {:.1} N, {:.1} mm deep{pressure}\n", foot.load, 1e3 * foot.sinkage));
+                let deep = 1e3 * foot.sinkage;
+                text.push_str(&match foot.load == 0.0 && deep < 0.0 {
+                    true => format!("  {name}: does not touch, {:.1} mm above the ground\n", -deep),
+                    false => format!("  {name}: {:.1} N, {:.1} mm deep{pressure}\n", foot.load, deep.max(0.0)),
+                });
             }
             text.push_str(&format!("  {}\n  {:.0} steps/s on one thread\n\n", self.hardest(s), g.speed));
         }

@@ -118,7 +118,6 @@ impl Growing {
             intruder: Some(track.intruder),
             hip_z: row.within(HIP_Z, MOST)?,
             beta: row.within(BETA, MOST)?,
-            gamma: row.within(GAMMA, MOST)?,
             ..LoggedTrial::default()
         };
         let (gammas, loads, start) = (Vec::new(), Vec::new(), row.needed_time(T)?);
@@ -131,6 +130,7 @@ fn log_row(logged: &mut LoggedTrial, row: &Row, t: f64) {
     let number = |column: usize| row.within(column, MOST).ok().flatten().unwrap_or(f64::NAN);
     logged.lines.push(row.line);
     logged.t.push(t);
+    logged.gamma.push(number(GAMMA));
     logged.theta.push(number(THETA));
     logged.omega.push(number(OMEGA));
     for (k, columns) in [[X, VX], [Z, VZ]].into_iter().enumerate() {

@@ -7,14 +7,14 @@ use crate::experiment::Intruder;
 pub struct LoggedTrial {
     pub id: String,
     pub intruder: Option<Intruder>,
-    /// Height of a leg's hip, attack and intrusion angle of a plate, as stated.
+    /// Height of a leg's hip and attack angle of a plate, as stated.
     pub hip_z: Option<f64>,
     pub beta: Option<f64>,
-    pub gamma: Option<f64>,
     /// Row of the file of each sample.
     pub lines: Vec<u64>,
-    /// Time, angle, angular speed, position and velocity of each sample; NaN where a cell is blank.
+    /// Time, stated intrusion angle of a plate, angle, angular speed, position and velocity of each sample; NaN where a cell is blank.
     pub t: Vec<f64>,
+    pub gamma: Vec<f64>,
     pub theta: Vec<f64>,
     pub omega: Vec<f64>,
     pub place: [Vec<f64>; 2],

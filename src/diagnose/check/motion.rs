@@ -17,7 +17,7 @@ pub fn check(trials: &[LoggedTrial]) -> Vec<Finding> {
     let mut found = each(&turning);
     found.extend((0..2).flat_map(|k| each(&|trial| moving(trial, k))));
     found.extend(each(&|trial| angle_of_plate("plate_beta", trial, trial.beta)));
-    found.extend(each(&|trial| angle_of_plate("plate_gamma", trial, trial.gamma)));
+    found.extend(each(&|trial| angle_of_plate("plate_gamma", trial, largest(&trial.gamma))));
     found.extend(each(&direction));
     found.extend(each(&interval));
     found
@@ -100,13 +100,26 @@ fn angle_of_plate(column: &str, trial: &LoggedTrial, angle: Option<f64>) -> Opti
     Some(Finding::new(Refuse, column, what, format!("state [units] {column} = \"deg\"")).at(trial.rows()))
 }
 
-/// Compares the stated intrusion angle with the direction of the velocity, (cos γ, −sin γ) or its mirror image.
+/// The largest of all numbers, whatever their signs; None if there is none.
+fn largest(values: &[f64]) -> Option<f64> {
+    values.iter().copied().filter(|v| !v.is_nan()).max_by(|a, b| a.abs().total_cmp(&b.abs()))
+}
+
+/// Compares the stated intrusion angles with the directions of the velocity, (cos γ, −sin γ) or its mirror image. Rows count by their
+/// speed, because slow ones have no sure direction.
 fn direction(trial: &LoggedTrial) -> Option<Finding> {
-    let gamma = trial.gamma.filter(|g| !trial.is_leg() && g.abs() <= TAU)?;
-    let sum = |k: usize| trial.velocity[k].iter().map(|v| v.abs()).sum::<f64>();
-    let own = sum(1).atan2(sum(0));
+    if trial.is_leg() {
+        return None;
+    }
+    let rows = trial.gamma.iter().zip(trial.velocity[0].iter().zip(&trial.velocity[1]));
+    let rows = rows.filter(|(gamma, (vx, vz))| gamma.abs() <= TAU && vx.is_finite() && vz.is_finite());
     // Angles of the same slope, whatever the quadrant.
-    let stated = gamma.sin().abs().atan2(gamma.cos().abs());
+    let [own, stated] = rows.fold([[0.0; 2]; 2], |[own, stated], (gamma, (vx, vz))| {
+        let speed = vx.hypot(*vz);
+        let of = |sum: [f64; 2], x: f64, z: f64| [sum[0] + x.abs(), sum[1] + z.abs()];
+        [of(own, *vx, *vz), of(stated, speed * gamma.cos(), speed * gamma.sin())]
+    });
+    let [own, stated] = [own, stated].map(|[x, z]| z.atan2(x));
     // 0.3 rad: our choice, far above the errors of a drive.
     let off = (own - stated).abs();
     (off > 0.3 && off <= PI).then(|| {

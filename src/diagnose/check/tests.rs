@@ -171,6 +171,33 @@ fn units_of_plates_are_named() {
     warned(&log.with(&["plate_gamma"], |_, v| v + 0.6), &experiment, "the velocity counts");
 }
 
+/// A plate on an arc turns its direction from row to row. What counts is the angle of each row, not that of the first one.
+#[test]
+fn a_plate_on_an_arc_has_an_angle_in_each_row() {
+    let (mut log, experiment) = plates();
+    let trial = log.place("trial");
+    let [x, z, vx, vz, gamma] = ["x", "z", "vx", "vz", "plate_gamma"].map(|name| log.place(name));
+    let mut before: Option<(String, f64, [f64; 2])> = None;
+    for i in 0..log.rows.len() {
+        let (id, t) = (log.rows[i][trial].clone(), log.number(i, "t"));
+        let (since, at) = match before.take().filter(|b| b.0 == id) {
+            Some((_, last, at)) => (t - last, at),
+            None => (0.0, [0.0, -0.02]),
+        };
+        let angle = 0.2 + 4.0 * t;
+        let velocity = [0.02 * angle.cos(), -0.02 * angle.sin()];
+        let at: [f64; 2] = std::array::from_fn(|k| at[k] + since * velocity[k]);
+        for (place, value) in [(x, at[0]), (z, at[1]), (vx, velocity[0]), (vz, velocity[1]), (gamma, angle)] {
+            log.rows[i][place] = value.to_string();
+        }
+        before = Some((id, t, at));
+    }
+    let first = |log: &Cells| found(&log.text(), &experiment).unwrap().iter().map(Finding::line).collect::<Vec<_>>();
+    let of = |log: &Cells| first(log).into_iter().filter(|line| line.contains("plate_gamma")).count();
+    assert_eq!(of(&log), 0, "{:?}", first(&log));
+    assert_eq!(of(&log.with(&["plate_gamma"], |_, v| v + 0.6)), 1);
+}
+
 #[test]
 fn broken_channels_are_warned_of() {
     let (log, experiment) = legs();

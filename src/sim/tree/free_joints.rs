@@ -1,6 +1,8 @@
 //! The joints that a search for a pose may move, their ranges, and where the search starts.
 
+use super::kinematics::chain;
 use super::{JointKind, Tree, TreeJoint};
+use nalgebra::Isometry3;
 use std::f64::consts::TAU;
 
 /// Largest number of joints of a limb that a search moves, counted from the limb's end: our choice, more than any limb we
@@ -9,6 +11,10 @@ pub(super) const MOST_MOVING: usize = 8;
 /// Farthest position of a joint in a search [rad or m], for joints that turn without limits: our choice, less than half
 /// a turn, so that no pose is found twice.
 const FARTHEST: f64 = 2.8;
+/// Least cosine of the angle between a vertical axis and z: our choice, 30°.
+pub(super) const VERTICAL: f64 = 0.87;
+/// A position is at an end of a range if it is nearer to it than this part of the range: our choice, more than the rounding of files.
+const AT_END: f64 = 0.05;
 
 /// Joints that a search may move, and where it begins.
 pub struct FreeJoints {
@@ -18,9 +24,21 @@ pub struct FreeJoints {
 
 impl FreeJoints {
     /// A joint with a position in the file keeps it. A joint that follows a leader keeps the position that the leader's
-    /// preferred position gives. All other joints are free in their range, and their preferred position is 0.
+    /// preferred position gives. All other joints are free in their range, and their preferred position is 0; for those that turn
+    /// about a vertical axis, and only to one side of 0, it is the middle of the range, from which a leg swings forward and back.
     pub fn of(tree: &Tree) -> Self {
         let mut all = Self::free(tree);
+        let frames = chain(tree, Isometry3::identity(), &all.preferred);
+        for (i, joint) in tree.joints().enumerate() {
+            // Joint i moves body i + 1.
+            let axis = tree.bodies[i + 1].hinge_axis(&frames[i + 1]);
+            let [low, high] = all.ranges[i];
+            let from_ends = (all.preferred[i] - low).min(high - all.preferred[i]);
+            let one_sided = joint.range.is_some() && from_ends < AT_END * (high - low);
+            if one_sided && axis.is_some_and(|axis| axis.z.abs() > VERTICAL) {
+                all.preferred[i] = (low + high) / 2.0;
+            }
+        }
         for f in tree.followers() {
             let at = f.ratio * all.preferred[f.leader] + f.offset;
             (all.ranges[f.joint], all.preferred[f.joint]) = ([at; 2], at);

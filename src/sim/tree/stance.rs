@@ -3,7 +3,7 @@
 
 use super::Tree;
 use super::contact::ContactPoint;
-use super::free_joints::FreeJoints;
+use super::free_joints::{FreeJoints, VERTICAL};
 use super::kinematics::{chain, lowest};
 use super::limbs::{Limb, limbs};
 use super::reach::{Reached, STEPS};
@@ -66,9 +66,6 @@ const ALIKE: f64 = 0.02;
 /// Axes count as parallel if the cosine of their angle is above this: our choice, 2.6°, more than the rounding of
 /// files.
 const PARALLEL: f64 = 0.999;
-
-/// Least cosine of the angle between a vertical axis and z: our choice, 30°.
-const VERTICAL: f64 = 0.87;
 
 /// A robot's standing pose.
 #[derive(Clone, Debug, PartialEq)]
