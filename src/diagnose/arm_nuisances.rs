@@ -23,7 +23,7 @@ const ANGLE_STEP: f64 = 2e-3;
 const SIZE_STEP: f64 = 2e-3;
 /// An estimate below this many prior standard deviations counts as 0 for the derivative: our choice; up to there the effects
 /// are nearly linear.
-const LINEAR: f64 = 1.5;
+const LINEAR: f64 = 0.25;
 
 /// A state of the sand, the effects of measuring in it, and their present estimates.
 struct Present<'a> {
