@@ -6,7 +6,7 @@ use sandgait::diagnose::nuisance::CauseKind;
 use sandgait::diagnose::report::Report;
 use sandgait::diagnose::verdict::Verdict;
 use std::path::Path;
-use testbed::Hidden;
+use testbed::{Design, Hidden};
 
 /// A log that somebody simulated who had not read this program.
 fn elsewhere(name: &str) -> Report {
@@ -41,12 +41,13 @@ fn a_late_log_is_late() {
 }
 
 /// The zero of a leg's angle is off by 0.11 rad. Linearised about a slope with a tilted sensor, which look alike, the plain model was at
-/// its bounds, so everything was better than it and this error had no row.
+/// its bounds, so everything was better than it, and this error had no row and the slope a name.
 #[test]
-fn a_leg_with_a_wrong_zero_is_no_slope() {
+fn a_leg_with_a_wrong_zero_is_no_slope_alone() {
     let r = elsewhere("leg_zero");
-    named_alone(&r, "joint_zero", CauseKind::Measurement);
-    assert!((r.causes[0].value.abs() - 0.11).abs() < 0.02, "{}", r.summary);
+    let sets: Vec<&[String]> = r.ambiguity_set.iter().map(Vec::as_slice).collect();
+    let named = r.causes.len() == 1 && r.causes[0].id == "joint_zero";
+    assert!(named || sets.contains(&&["joint_zero".to_string()][..]), "{}", r.summary);
 }
 
 /// A load cell that loses 25 % from the first trial to the last one is no weaker sand. Trials are in random order.
@@ -81,4 +82,18 @@ fn a_load_cell_that_drifts_is_named() {
     let r = diagnosis(&text).report;
     named_alone(&r, "gain_drift", CauseKind::Measurement);
     holds(&r, -0.25);
+}
+
+/// A surface that is off by 1.5 mm, in logs with a tenth of the usual noise. Where the effect of a small change was taken for that of
+/// 1.5 mm, the depth was wrong, and a slope made up for it.
+#[test]
+fn a_surface_that_is_off_has_no_slope() {
+    let hidden = Hidden { causes: vec![("depth_zero", -0.0015)] };
+    let r = diagnosis(&testbed::noisy_log(Design::Crossed, 0.1, 5, &hidden, 0.02).noisy).report;
+    assert!(r.causes.iter().all(|c| c.id == "depth_zero"), "{}", r.summary);
+    let surface = r.nuisances.iter().find(|n| n.id == "depth_zero" && n.level == "log").unwrap();
+    assert!((surface.value + 0.0015).abs() < 1e-4, "{} ± {}", surface.value, surface.sd);
+    let slopes = r.candidates.iter().filter(|tried| tried.ids.iter().any(|id| id == "slope"));
+    let gained = slopes.map(|tried| tried.delta_aic).fold(f64::NEG_INFINITY, f64::max);
+    assert!(gained < 10.0, "{gained}");
 }
