@@ -126,7 +126,7 @@ diagnosis-picture:
 # The animations and pictures of README and the site.
 film: $(VENV)/plot
 	$(BIN)/python docs/assets/film.py
-	$(BIN)/python docs/assets/film_quadruped.py
+	$(BIN)/python docs/assets/film_steered.py
 	$(BIN)/python docs/assets/pictures.py
 
 # Builds the native module into the folder of the Python sources, for PYTHONPATH=python_client. Cargo knows what has changed.
