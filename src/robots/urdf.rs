@@ -232,6 +232,11 @@ impl UrdfReader<'_> {
                 Err(reason) => self.notes.undrawn(&reason),
             }
         }
+        // A link none of whose visuals can be read is drawn by its collision shapes, so that no part is missing in pictures.
+        if visuals.is_empty() && element.first("visual").is_some() {
+            let look = |s: &TreeShape| Visual { origin: s.origin, look: DraftShape::Shape(s.geometry.clone()) };
+            visuals.extend(shapes.iter().map(look));
+        }
         let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
         let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();
         let massless = element.first("inertial").is_none();

@@ -90,10 +90,14 @@ pub struct Camera {
 /// A point of the picture [px], y downward, and its distance along the line of sight [m].
 pub type ScreenPoint = ([f32; 2], f64);
 
-/// Half of the robot's length with extended legs [m]; for a robot from a file, its standing height.
+/// How far feet may stand from the middle of a robot from a file, in standing heights, before the camera moves away: our choice. Dogs'
+/// stand nearer, those of a low robot with legs to the sides farther out.
+const WIDE: f64 = 1.5;
+
+/// Half of the robot's length with extended legs [m]; for a robot from a file, its standing height, or more if its legs reach far.
 pub fn radius(model: &Model) -> f64 {
     if let Some(tree) = &model.tree {
-        return tree.standing_height(&tree.stance.angles).max(1e-3);
+        return tree.standing_height(&tree.stance.angles).max(tree.reach() / WIDE).max(1e-3);
     }
     let reach = |chain: &Vec<crate::sim::model::LinkBody>| {
         chain[0].joint.norm() + chain.iter().map(|b| b.reach.norm()).sum::<f64>()

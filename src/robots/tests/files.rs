@@ -54,6 +54,10 @@ fn visuals_that_cannot_be_read_are_left_out() {
         assert!(import.warnings.iter().any(|w| w.starts_with("1 visual is not drawn")), "{:?}", import.warnings);
         let collision = visual.replace("visual", "collision");
         refused("r.urdf", &urdf(&collision, ""));
+        // The link is drawn by its collision shape instead.
+        let solid = r#"<collision><geometry><box size="1 1 1"/></geometry></collision>"#;
+        let import = read("r.urdf", &urdf(&(visual.clone() + solid), "")).unwrap();
+        assert_eq!(import.seen().unwrap()[0].len(), 1);
     }
     let good = r#"<visual><geometry><box size="1 1 1"/></geometry></visual>"#;
     let import = read("r.urdf", &urdf(&(broken.concat() + good), "")).unwrap();
