@@ -185,7 +185,8 @@ fn arms_hold_their_position() {
         let action: Vec<f32> = names.iter().map(|arm| if *arm { 1.0 } else { 0.0 }).collect();
         (0..50).for_each(|_| shard.step(&action));
         let about = describe::of_task(&blueprint, b"network");
-        let held = about["held"].as_array().unwrap().iter().map(|servo| servo["joint"].clone()).collect::<Vec<_>>();
+        let held = about["held"].as_array().into_iter().flatten();
+        let held: Vec<_> = held.map(|servo| servo["joint"].clone()).collect();
         let moved = (shard.state(0).angles[shoulder] - import.stance.angles[shoulder]).abs();
         (moved, names.len(), about["targets"].as_array().unwrap().len(), held)
     };

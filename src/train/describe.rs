@@ -65,6 +65,10 @@ pub fn of_task(blueprint: &Blueprint, onnx: &[u8]) -> Value {
         add_readings(&mut about["observation"], &spec.observation, history as usize, &default_pose(blueprint));
         let Value::Object(robot) = robot(blueprint) else { return about };
         robot.into_iter().for_each(|(key, value)| about[key] = value);
+        let [_, held] = targets(blueprint);
+        if !held.is_empty() {
+            about["held"] = json!(held);
+        }
     }
     about
 }
@@ -96,7 +100,7 @@ fn robot(blueprint: &Blueprint) -> Value {
     let feet = |tree: &std::sync::Arc<crate::sim::tree::TreeModel>| {
         tree.stance.feet.iter().map(|foot| tree.tree.bodies[*foot].name.clone()).collect::<Vec<_>>()
     };
-    let [targets, held] = targets(blueprint);
+    let [targets, _] = targets(blueprint);
     let trained = CONDITIONS.map(|name| (name.to_owned(), task.option(name)));
     let sensors = task.option("sensors");
     json!({
@@ -118,7 +122,6 @@ fn robot(blueprint: &Blueprint) -> Value {
             "feet": model.tree.as_ref().map(feet),
         },
         "targets": targets,
-        "held": held,
         "servo_rate": 1.0 / task.option("dt").as_f64().unwrap_or(0.002),
         "commands": task.command_ranges(),
         "clock_frequency": task.option("gait_clock"),
