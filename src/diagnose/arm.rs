@@ -406,7 +406,7 @@ mod tests {
                 let t = 5e-3 * f64::from(i);
                 ArmPose { t, center: [0.0, -0.03 - 0.1 * t], velocity: [0.0, -speed(t)], ..ArmPose::default() }
             };
-            let track = Track::leg(intruder.clone(), 0.0, (0..40).map(pose).collect());
+            let track = Track::leg(intruder, 0.0, (0..40).map(pose).collect());
             let of = |lowpass: f64| forces(Mechanisms { lowpass, ..Mechanisms::default() }, &track);
             for (i, (fast, none)) in of(1e-7).into_iter().zip(of(0.0)).enumerate() {
                 assert!((fast - none).abs() < 1e-3 * none.abs().max(0.1), "{first} m/s, {i}: {fast} and not {none}");
