@@ -164,6 +164,35 @@ fn what_is_no_legged_robot_is_refused() {
     assert!(begin.elapsed().as_secs_f64() < 5.0, "{:?}", begin.elapsed());
 }
 
+/// Legs whose first joint turns from straight ahead, or from straight back, to one side only stand in the middle of its range: beside
+/// the body.
+#[test]
+fn a_hip_that_turns_to_one_side_stands_in_the_middle() {
+    let leg = |name: &str, x: f64, y: f64| {
+        let turned = if y > 0.0 { 0 } else { 180 };
+        format!(
+            r#"<body name="{name}" pos="{x} {y} 0" euler="0 0 {turned}"><joint name="{name}_hip" axis="0 0 1" range="0 180"/>
+            <geom type="capsule" fromto="0 0 0 0.05 0 0" size="0.01"/>
+            <body pos="0.05 0 0"><joint name="{name}_thigh" axis="0 1 0" range="-60 60"/>
+            <geom type="capsule" fromto="0 0 0 0.08 0 0" size="0.01"/>
+            <body pos="0.08 0 0"><joint name="{name}_shin" axis="0 1 0" range="-10 100"/>
+            <geom type="capsule" fromto="0 0 0 0.15 0 0" size="0.01"/></body></body></body>"#
+        )
+    };
+    let legs: String = [("a", 0.1), ("b", 0.0), ("c", -0.1)]
+        .iter()
+        .flat_map(|(name, x)| [leg(&format!("left_{name}"), *x, 0.06), leg(&format!("right_{name}"), *x, -0.06)])
+        .collect();
+    let text = format!(
+        r#"<mujoco><worldbody><body name="base" pos="0 0 0.3"><freejoint/><geom type="box" size="0.12 0.06 0.02" mass="1"/>{legs}</body></worldbody></mujoco>"#
+    );
+    let import = read(&text, "xml").unwrap();
+    let hips = import.tree.joints().zip(&import.stance.angles).filter(|(joint, _)| joint.name.ends_with("_hip"));
+    let angles: Vec<f64> = hips.map(|(_, angle)| *angle).collect();
+    assert_eq!((angles.len(), import.stance.legs.len()), (6, 6));
+    assert!(angles.iter().all(|angle| (angle - PI / 2.0).abs() < 0.5), "{angles:?}");
+}
+
 /// With `joints` "legs" an arm holds its default position and no number of the action moves it. `sandgait train` takes this for robots
 /// with arms, unless the option is given or the training goes on without it.
 #[test]

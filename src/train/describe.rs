@@ -65,10 +65,6 @@ pub fn of_task(blueprint: &Blueprint, onnx: &[u8]) -> Value {
         add_readings(&mut about["observation"], &spec.observation, history as usize, &default_pose(blueprint));
         let Value::Object(robot) = robot(blueprint) else { return about };
         robot.into_iter().for_each(|(key, value)| about[key] = value);
-        let [_, held] = targets(blueprint);
-        if !held.is_empty() {
-            about["held"] = json!(held);
-        }
     }
     about
 }
@@ -100,10 +96,10 @@ fn robot(blueprint: &Blueprint) -> Value {
     let feet = |tree: &std::sync::Arc<crate::sim::tree::TreeModel>| {
         tree.stance.feet.iter().map(|foot| tree.tree.bodies[*foot].name.clone()).collect::<Vec<_>>()
     };
-    let [targets, _] = targets(blueprint);
+    let [targets, held] = targets(blueprint);
     let trained = CONDITIONS.map(|name| (name.to_owned(), task.option(name)));
     let sensors = task.option("sensors");
-    json!({
+    let mut own = json!({
         "formulas": {
             "observation": "clip(part(reading[index] - subtract), low, high); part: the value itself, or its sine or cosine; \
                             reading: that of `steps_before` control steps earlier, at first the first one",
@@ -128,7 +124,11 @@ fn robot(blueprint: &Blueprint) -> Value {
         "velocity_by_differences": sensors["velocity_by_differences"].as_bool().unwrap_or(false),
         "most_tilt": MOST_TILT,
         "trained_with": trained.into_iter().collect::<serde_json::Map<_, _>>(),
-    })
+    });
+    if !held.is_empty() {
+        own["held"] = json!(held);
+    }
+    own
 }
 
 /// Adds to each column of an observation where its number comes from.
