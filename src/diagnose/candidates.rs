@@ -126,18 +126,14 @@ pub fn candidates(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progres
     progress.report(0.78, "effects of measuring")?;
     let mut around = found.around.clone();
     let mut renewed = around.about(study);
-    found.leading = self::leading(&renewed, &found.base, &found.fits);
-    found.free_base(&renewed);
-    found.measured = measured::measured(&found.about_base(&renewed), &found.base);
+    found.measure(&renewed);
     if let Some(next) = found.about_measured(&renewed, asked) {
         drop(renewed);
         around = next;
         renewed = around.about(study);
         found.around = around.clone();
         found.refit(&renewed);
-        found.leading = self::leading(&renewed, &found.base, &found.fits);
-        found.free_base(&renewed);
-        found.measured = measured::measured(&found.about_base(&renewed), &found.base);
+        found.measure(&renewed);
     }
     let own = found.about_base(&renewed);
     found.stated = plain_fit(&own, &found.base);
@@ -198,6 +194,13 @@ impl Candidates {
     /// A study with the nuisances of the base.
     pub fn about_base<'a>(&self, study: &FitInputs<'a>) -> FitInputs<'a> {
         study.with_nuisances(self.base_nuisances.clone())
+    }
+
+    /// Finds the leading fit, and tries effects of measuring on the base.
+    fn measure(&mut self, study: &FitInputs) {
+        self.leading = leading(study, &self.base, &self.fits);
+        self.free_base(study);
+        self.measured = measured::measured(&self.about_base(study), &self.base);
     }
 
     /// Linearises the nuisances about the base if it is at bounds in the linearisation of the others, and fits better so: otherwise

@@ -233,7 +233,8 @@ impl UrdfReader<'_> {
             }
         }
         // A link none of whose visuals can be read is drawn by its collision shapes, so that no part is missing in pictures.
-        if visuals.is_empty() && element.first("visual").is_some() {
+        if visuals.is_empty() && !shapes.is_empty() && element.first("visual").is_some() {
+            self.notes.part("link", &name, "its visuals cannot be read, so its collision shapes are drawn");
             let look = |s: &TreeShape| Visual { origin: s.origin, look: DraftShape::Shape(s.geometry.clone()) };
             visuals.extend(shapes.iter().map(look));
         }

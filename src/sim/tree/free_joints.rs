@@ -11,8 +11,6 @@ pub(super) const MOST_MOVING: usize = 8;
 /// Farthest position of a joint in a search [rad or m], for joints that turn without limits: our choice, less than half
 /// a turn, so that no pose is found twice.
 const FARTHEST: f64 = 2.8;
-/// Least cosine of the angle between a vertical axis and z: our choice, 30°.
-pub(super) const VERTICAL: f64 = 0.87;
 /// A position is at an end of a range if it is nearer to it than this part of the range: our choice, more than the rounding of files.
 const AT_END: f64 = 0.05;
 
@@ -31,11 +29,11 @@ impl FreeJoints {
         let frames = chain(tree, Isometry3::identity(), &all.preferred);
         for (i, joint) in tree.joints().enumerate() {
             // Joint i moves body i + 1.
-            let axis = tree.bodies[i + 1].hinge_axis(&frames[i + 1]);
+            let upright = tree.bodies[i + 1].turns_about_vertical(&frames[i + 1]);
             let [low, high] = all.ranges[i];
             let from_ends = (all.preferred[i] - low).min(high - all.preferred[i]);
             let one_sided = joint.range.is_some() && from_ends < AT_END * (high - low);
-            if one_sided && axis.is_some_and(|axis| axis.z.abs() > VERTICAL) {
+            if one_sided && upright {
                 all.preferred[i] = (low + high) / 2.0;
             }
         }

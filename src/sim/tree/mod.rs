@@ -69,6 +69,9 @@ use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+/// Least cosine of the angle between a vertical axis and z: our choice, 30°.
+const VERTICAL: f64 = 0.87;
+
 /// A robot. Bodies are in depth-first order: each comes after its parent, and the bodies of a branch are contiguous.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
@@ -259,5 +262,10 @@ impl TreeBody {
     /// Axis of its joint if the joint is a hinge, with the body at `frame`; else None.
     pub fn hinge_axis(&self, frame: &Isometry3<f64>) -> Option<Vector3<f64>> {
         self.axis(frame).filter(|(kind, _)| *kind == JointKind::Hinge).map(|(_, axis)| axis)
+    }
+
+    /// Is its joint a hinge about a vertical axis, with the body at `frame`?
+    pub fn turns_about_vertical(&self, frame: &Isometry3<f64>) -> bool {
+        self.hinge_axis(frame).is_some_and(|axis| axis.z.abs() > VERTICAL)
     }
 }

@@ -3,7 +3,7 @@
 
 use super::Tree;
 use super::contact::ContactPoint;
-use super::free_joints::{FreeJoints, VERTICAL};
+use super::free_joints::FreeJoints;
 use super::kinematics::{chain, lowest};
 use super::limbs::{Limb, limbs};
 use super::reach::{Reached, STEPS};
@@ -260,7 +260,7 @@ impl<'a> Search<'a> {
         // A leg whose knee is beside its hip, as a spider's, stands as far out as its knee. It points to the side, or, as the legs of
         // a hexagon, anywhere: then one of its first joints turns about a vertical axis. A dog's leg that is drawn level points ahead.
         let to_hip = limb.path.iter().position(|i| *i == limb.hip).map_or(0, |k| k + 1);
-        let upright = |i: &usize| tree.bodies[*i].hinge_axis(&frames[*i]).is_some_and(|axis| axis.z.abs() > VERTICAL);
+        let upright = |i: &usize| tree.bodies[*i].turns_about_vertical(&frames[*i]);
         let turns = limb.path[..to_hip].iter().any(upright);
         let knee = limb.path.iter().skip_while(|i| **i != limb.hip).nth(1);
         let out = knee.and_then(|i| {
