@@ -40,10 +40,10 @@ fn nuisance(id: &str) -> &str {
     SENSOR.iter().find(|s| s.0 == id).map_or(id, |s| s.1)
 }
 
-/// What an answer is, in words.
-pub fn phrase(id: &str) -> String {
-    let known = PHRASES.iter().find(|p| p.0 == id).map(|p| p.1);
-    known.or_else(|| kind(nuisance(id)).map(|k| k.words)).unwrap_or("a law of another form").to_string()
+/// What an answer of unknown value is, in words.
+fn phrase(id: &str) -> String {
+    let known = PHRASES.iter().find(|p| p.0 == id).map(|p| p.1.to_string());
+    known.or_else(|| kind(nuisance(id)).map(|k| k.said(None))).unwrap_or("a law of another form".into())
 }
 
 /// Is what is wrong the sand, the measurement or the robot?
@@ -59,7 +59,7 @@ pub fn kind_of_mechanism(id: usize) -> CauseKind {
 fn found(c: &Cause) -> String {
     let of = of(c.of.as_deref());
     let half = 0.5 * (c.ci95[1] - c.ci95[0]);
-    let what = kind(&c.id).map_or_else(|| phrase(&c.id), |kind| kind.said(c.value));
+    let what = kind(&c.id).map_or_else(|| phrase(&c.id), |kind| kind.said(Some(c.value)));
     let degrees = match (&*c.unit, c.kind) {
         ("rad", CauseKind::Measurement) => format!(" by {:.1}° (±{:.1}°)", c.value.to_degrees(), half.to_degrees()),
         _ => String::new(),

@@ -11,6 +11,15 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Bound of a nuisance in prior standard deviations: our choice. Without this bound, nuisances could take absurd values to compensate for
+/// a large error of the model.
+const MOST_DEVIATION: f64 = 3.0;
+
+/// Is a deviation at its outer bound? The share is rounding.
+pub fn at_bound(deviation: f64) -> bool {
+    deviation.abs() >= MOST_DEVIATION * (1.0 - 1e-6)
+}
+
 /// One nuisance of all data.
 #[derive(Clone, Debug)]
 pub struct Nuisance {
@@ -50,6 +59,16 @@ impl Nuisance {
         }
         let column = Arc::new(self.column.iter().map(|c| c * sd / self.sd).collect());
         Self { sd, column, ..self.clone() }
+    }
+
+    /// Least and greatest deviation. A filter has no negative time constant.
+    pub fn bounds(&self) -> [f64; 2] {
+        [if self.is_filter() { 0.0 } else { -MOST_DEVIATION }, MOST_DEVIATION]
+    }
+
+    /// Is the value the time constant of a filter?
+    pub fn is_filter(&self) -> bool {
+        self.id == "lowpass"
     }
 
     pub fn is(&self, other: &Self) -> bool {
@@ -169,9 +188,14 @@ pub fn kind(id: &str) -> Option<&'static NuisanceKind> {
 }
 
 impl NuisanceKind {
-    /// The words for an error of this value: what is late by less than nothing is early.
-    pub fn said(&self, value: f64) -> String {
-        if value < 0.0 { self.words.replace(" is late", " is early") } else { self.words.into() }
+    /// The words for an error of this value, or of unknown sign: what is late by less than nothing is early.
+    pub fn said(&self, value: Option<f64>) -> String {
+        let late = match value {
+            None => " is late or early",
+            Some(value) if value < 0.0 => " is early",
+            Some(_) => " is late",
+        };
+        self.words.replace(" is late", late)
     }
 
     /// The id in reports of this error as the answer of a diagnosis: that of the mechanism with the same effect, if there is one.

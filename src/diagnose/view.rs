@@ -4,13 +4,12 @@ use super::differences::NORMAL;
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, slope};
 use super::gate::FoundEffect;
-use super::gauss_newton::at_bound;
 use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
 use super::next_experiment::KnownNoise;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
-use super::nuisance::kind;
+use super::nuisance::{at_bound, kind};
 use super::opening::{runs, worded};
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Recalibration,
@@ -177,7 +176,7 @@ impl ReportView<'_> {
                 known.filter(|_| within && d.abs() > UNLIKELY && value.value.abs() > CERTAIN * value.sd)
             {
                 let size = format!("{}{} {}{}", n.id, of(n.of.as_deref()), digits(value.value), after(n.unit));
-                large.push((d.abs(), format!("{ALARM}{} ({size})", known.said(value.value))));
+                large.push((d.abs(), format!("{ALARM}{} ({size})", known.said(Some(value.value)))));
             }
         }
         large.sort_by(|a, b| b.0.total_cmp(&a.0));
