@@ -22,8 +22,9 @@ const TILT_STEP: f64 = 1e-4;
 const ANGLE_STEP: f64 = 2e-3;
 const SIZE_STEP: f64 = 2e-3;
 /// An estimate below this many prior standard deviations counts as 0 for the derivative: our choice; up to there the effects
-/// are nearly linear.
-const LINEAR: f64 = 0.25;
+/// are nearly linear. That of the surface's height is less so: where a leg enters the sand, its force grows with the square of the depth.
+const LINEAR: f64 = 1.5;
+const LINEAR_DEPTH: f64 = 0.25;
 
 /// A state of the sand, the effects of measuring in it, and their present estimates.
 struct Present<'a> {
@@ -52,6 +53,11 @@ impl RigChange {
             Self::Plates | Self::Legs => ANGLE_STEP,
             Self::Size => SIZE_STEP,
         }
+    }
+
+    /// Up to how many prior standard deviations its effect is nearly linear.
+    fn linear(self) -> f64 {
+        if matches!(self, Self::Depth) { LINEAR_DEPTH } else { LINEAR }
     }
 }
 
@@ -185,7 +191,7 @@ impl ForceLogModel<'_> {
         part: &dyn Fn(&[f64]) -> Vec<f64>,
     ) -> Nuisance {
         let value = estimate(values, id, of);
-        let linear = LINEAR * self.experiment.nuisances.sd(id);
+        let linear = change.linear() * self.experiment.nuisances.sd(id);
         let curved = |nuisance: Nuisance| Nuisance { nearly_linear: linear, ..nuisance };
         if value.abs() <= linear {
             return m.near(id, of, || curved(self.at_prior(id, part(m.rate(change)))));
