@@ -236,7 +236,8 @@ impl ForceLogModel<'_> {
         all
     }
 
-    /// A filter's time constant cannot be negative, and its effect is not linear.
+    /// A filter's effect is not linear, and it is linearised about no negative time constant. A fit may make the constant negative: with 0
+    /// as its bound, two causes of measured plates and legs were not named any more (tried on 2026-11-29).
     fn filter(
         &self,
         m: &Measuring,

@@ -38,10 +38,9 @@
 //! 2020).
 
 use super::differences::{NORMAL, SumPart, summed};
-use super::fit::{COEFFICIENTS, Fit, Stack};
+use super::fit::{Fit, Stack};
 use super::left_out::{Contender, LawColumn, LeftOutRow, Linear};
 use super::normal_equations::value_prior;
-use super::nuisance::Nuisance;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 use crate::number::dot;
@@ -238,10 +237,8 @@ impl<'a> EvidenceNumbers<'a> {
             // The stated priors of coefficients and nuisances are one more condition, whose numbers are the deviations, each 0 ± 1.
             let (count, values) = (m.fit.deviations.len(), m.fit.ids.len());
             let own: Vec<&Vec<DVector<f64>>> = m.fit.slopes.iter().map(|c| columns[&place(c)]).collect();
-            let held = held(m);
             let of_condition = |c: usize| {
-                let slope = |number, parameter: usize| if held[parameter] { 0.0 } else { own[parameter][c][number] };
-                DMatrix::from_fn(residual[c].len(), own.len(), slope)
+                DMatrix::from_fn(residual[c].len(), own.len(), |number, parameter| own[parameter][c][number])
             };
             let stated = DMatrix::from_fn(count, own.len(), |i, k| if k == values + i { 1.0 } else { 0.0 });
             let slopes = (0..residual.len()).map(of_condition).chain([stated]).collect();
@@ -384,14 +381,6 @@ fn prior(fit: &Fit) -> Vec<[f64; 2]> {
     let value = |(&id, at): (&usize, f64)| value_prior(id, at);
     let deviation = |d: &f64| [UNSTATED.powi(-2), -d * UNSTATED.powi(-2)];
     fit.ids.iter().zip(fit.coordinates()).map(value).chain(fit.deviations.iter().map(deviation)).collect()
-}
-
-/// Which parameters do all conditions hold at a bound of what is possible: time constants of filters at 0.
-fn held(m: &Contender) -> Vec<bool> {
-    let mut held = vec![false; m.fit.ids.len() + COEFFICIENTS];
-    let of = |(n, d): (&Nuisance, &f64)| n.is_filter() && *d <= n.bounds()[0];
-    held.extend(m.nuisances.iter().zip(&m.fit.deviations[COEFFICIENTS..]).map(of));
-    held
 }
 
 /// Prior standard deviation of a law's coefficient: with it, the law's effect is as large as the whole prediction. Our choice.

@@ -3,10 +3,11 @@
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
 use super::form::{FreePower, free_powers};
+use super::gauss_newton::at_bound;
 use super::laws::{FittedLaw, fitted};
 use super::left_out::Contender;
 use super::nested::{Nested, simpler};
-use super::nuisance::{Nuisance, at_bound};
+use super::nuisance::Nuisance;
 use super::observations::Unit;
 use super::study::FitInputs;
 use super::verdict::{Compared, Effect, Role, base};

@@ -20,6 +20,14 @@ const SETTLED: f64 = 0.01;
 /// The same for a rough model, whose χ² differs by about this much between neighbouring states: our choice.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
+/// Bound of a nuisance in prior standard deviations: our choice. Without this bound, nuisances could take absurd values to compensate for
+/// a large error of the model.
+pub const MOST_DEVIATION: f64 = 3.0;
+
+/// Is a deviation at its bound? The share is rounding.
+pub fn at_bound(deviation: f64) -> bool {
+    deviation.abs() >= MOST_DEVIATION * (1.0 - 1e-6)
+}
 /// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
 /// From this step on a fit can be abandoned because another fit has a much lower objective. Not earlier, because the
@@ -105,7 +113,7 @@ impl FitInputs<'_> {
 
     /// Changes the parameters of each fit by its step. Nothing is fitted again, and the slopes are kept.
     pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
-        let there = self.at_all(steps.iter().map(|(fit, step)| self.moved(fit, step, 1.0)).collect());
+        let there = self.at_all(steps.iter().map(|(fit, step)| moved(fit, step, 1.0)).collect());
         there.into_iter().zip(steps).map(|(there, (fit, _))| Fit { slopes: fit.slopes.clone(), ..there }).collect()
     }
 
@@ -177,7 +185,7 @@ impl FitInputs<'_> {
         let mut pending: Vec<usize> = (0..active.len()).collect();
         let mut share = 1.0;
         while !pending.is_empty() && share > 0.02 {
-            let state = |&i: &usize| self.moved(&fits[active[i]], &steps[i], share);
+            let state = |&i: &usize| moved(&fits[active[i]], &steps[i], share);
             let trials = self.at_all(pending.iter().map(state).collect());
             let mut left = Vec::new();
             for (i, trial) in pending.into_iter().zip(trials) {
@@ -280,7 +288,7 @@ impl FitInputs<'_> {
         let place = |k: usize| match k.checked_sub(count) {
             None => (coordinates[k], CATALOG[fit.ids[k]].coordinate_bounds()),
             Some(d) if d < COEFFICIENTS => (0.0, [f64::MIN, f64::MAX]),
-            Some(d) => (fit.deviations[d], self.nuisances[d - COEFFICIENTS].bounds()),
+            Some(d) => (fit.deviations[d], [-MOST_DEVIATION, MOST_DEVIATION]),
         };
         loop {
             let step = solve(&information, &score, &held);
@@ -294,22 +302,23 @@ impl FitInputs<'_> {
             }
         }
     }
+}
 
-    /// Causes, mechanisms and deviations of a fit after a share of a step.
-    fn moved(&self, fit: &Fit, step: &[f64], share: f64) -> (Vec<usize>, Mechanisms, Vec<f64>) {
-        let mut mechanisms = fit.mechanisms;
-        for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
-            let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
-            mechanisms = mechanisms.with(id, entry.value((at + share * step).clamp(bounds[0], bounds[1])));
-        }
-        let mut deviations = fit.deviations.clone();
-        deviations.iter_mut().zip(&step[fit.ids.len()..]).for_each(|(d, s)| *d += share * s);
-        for (d, nuisance) in deviations[COEFFICIENTS..].iter_mut().zip(&self.nuisances) {
-            let [least, most] = nuisance.bounds();
-            *d = d.clamp(least, most);
-        }
-        (fit.ids.clone(), mechanisms, deviations)
+/// Causes, mechanisms and deviations of a fit after a share of a step.
+fn moved(fit: &Fit, step: &[f64], share: f64) -> (Vec<usize>, Mechanisms, Vec<f64>) {
+    let mut mechanisms = fit.mechanisms;
+    for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
+        let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
+        mechanisms = mechanisms.with(id, entry.value((at + share * step).clamp(bounds[0], bounds[1])));
     }
+    let mut deviations = fit.deviations.clone();
+    for (k, (d, s)) in deviations.iter_mut().zip(&step[fit.ids.len()..]).enumerate() {
+        *d += share * s;
+        if k >= COEFFICIENTS {
+            *d = d.clamp(-MOST_DEVIATION, MOST_DEVIATION);
+        }
+    }
+    (fit.ids.clone(), mechanisms, deviations)
 }
 
 /// Solves the normal equations with the `held` parameters fixed.

@@ -2,8 +2,9 @@
 
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
+use super::gauss_newton::at_bound;
 use super::left_out::Contender;
-use super::nuisance::{CauseKind, Nuisance, at_bound, kind};
+use super::nuisance::{CauseKind, Nuisance, kind};
 use super::settling::{FAR, bound, settled_nuisances};
 use super::study::FitInputs;
 use crate::parallel;

@@ -11,15 +11,6 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Bound of a nuisance in prior standard deviations: our choice. Without this bound, nuisances could take absurd values to compensate for
-/// a large error of the model.
-const MOST_DEVIATION: f64 = 3.0;
-
-/// Is a deviation at its outer bound? The share is rounding.
-pub fn at_bound(deviation: f64) -> bool {
-    deviation.abs() >= MOST_DEVIATION * (1.0 - 1e-6)
-}
-
 /// One nuisance of all data.
 #[derive(Clone, Debug)]
 pub struct Nuisance {
@@ -59,16 +50,6 @@ impl Nuisance {
         }
         let column = Arc::new(self.column.iter().map(|c| c * sd / self.sd).collect());
         Self { sd, column, ..self.clone() }
-    }
-
-    /// Least and greatest deviation. A filter has no negative time constant.
-    pub fn bounds(&self) -> [f64; 2] {
-        [if self.is_filter() { 0.0 } else { -MOST_DEVIATION }, MOST_DEVIATION]
-    }
-
-    /// Is the value the time constant of a filter?
-    pub fn is_filter(&self) -> bool {
-        self.id == "lowpass"
     }
 
     pub fn is(&self, other: &Self) -> bool {

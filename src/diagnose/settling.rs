@@ -1,8 +1,8 @@
 //! Nuisances with nonlinear effects: fit and linearisation are adjusted to each other.
 
 use super::fit::{COEFFICIENTS, Fit};
-use super::gauss_newton::REACH;
-use super::nuisance::{Nuisance, at_bound};
+use super::gauss_newton::{REACH, at_bound};
+use super::nuisance::Nuisance;
 use super::study::FitInputs;
 use super::whiten::Whitener;
 
@@ -66,7 +66,7 @@ pub fn settled_nuisances(mut now: FitInputs, fit: &Fit, mut at: Fit, best: f64) 
     for _ in 0..BENDS {
         let moved = now.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
         let curved =
-            |n: &Nuisance, d: f64| n.is_filter() || n.id.starts_with("imu") || d.abs() * n.sd > n.nearly_linear;
+            |n: &Nuisance, d: f64| n.id == "lowpass" || n.id.starts_with("imu") || d.abs() * n.sd > n.nearly_linear;
         let turned = moved.filter(|((n, d), _)| curved(n, **d)).map(|((n, a), b)| (a - b).abs() * n.sd / n.stated_sd);
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;

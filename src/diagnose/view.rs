@@ -4,12 +4,13 @@ use super::differences::NORMAL;
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, slope};
 use super::gate::FoundEffect;
+use super::gauss_newton::at_bound;
 use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
 use super::next_experiment::KnownNoise;
 use super::noise::{Noise, NoiseData};
 use super::normal_equations::Further;
-use super::nuisance::{at_bound, kind};
+use super::nuisance::kind;
 use super::opening::{runs, worded};
 use super::report::{
     Cause, EvidenceRow, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, RawErrors, Recalibration,
