@@ -379,3 +379,16 @@ fn a_recorded_walk_is_replayed() {
     assert!(!std::path::Path::new(none).exists());
     refused(&["walk", "--frequency", "1", "--record", "/nowhere/walk.rec"], &["/nowhere/walk.rec"]);
 }
+
+/// Colour is for terminals, and for whoever asks for it.
+#[test]
+fn lines_have_colour_where_it_is_asked_for() {
+    let refusal = |variable: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+        command.args(["walk", "--leg", "L"]).env(variable, "1");
+        String::from_utf8(command.output().unwrap().stderr).unwrap()
+    };
+    let plain = "sandgait: missing: --frequency <HZ>\n";
+    assert_eq!(refusal("NO_COLOR"), plain);
+    assert_eq!(refusal("CLICOLOR_FORCE"), plain.replace("sandgait:", "\u{1b}[1m\u{1b}[31msandgait:\u{1b}[0m"));
+}

@@ -15,6 +15,7 @@ mod robot;
 mod robot_check;
 mod robot_json;
 mod robots;
+mod say;
 mod serve;
 mod stress;
 mod studies;
@@ -43,7 +44,7 @@ use std::path::Path;
 
 /// Batched reinforcement-learning environments of legged robots on sand.
 #[derive(Parser)]
-#[command(version, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
+#[command(version, styles = say::HELP, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
 struct Cli {
     /// Write no progress, notes and next steps to stderr; warnings and errors stay
     #[arg(long, short, global = true)]
@@ -145,10 +146,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
                     | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
             ) =>
         {
-            Ok(e.to_string())
+            return print(&say::styled(&e.render()));
         }
         Err(e) => {
-            eprintln!("sandgait: {}", bounded(one_line(&e)));
+            say::error(bounded(one_line(&e)));
             return 2;
         }
     };
@@ -159,7 +160,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             code
         }
         Err(error) => {
-            eprintln!("sandgait: {}", bounded(error.to_string().replace('\n', " ")));
+            say::error(bounded(error.to_string().replace('\n', " ")));
             exit_code(&error)
         }
     }
@@ -191,7 +192,7 @@ fn print(text: &str) -> u8 {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
-            eprintln!("sandgait: stdout: {e}");
+            say::error(format_args!("stdout: {e}"));
             1
         }
         _ => 0,
@@ -214,7 +215,7 @@ fn warn_of_unfelt_option(options: &serde_json::Value) {
 
 /// Writes each line as a warning of its own.
 fn warn_each(lines: &[String]) {
-    lines.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
+    lines.iter().for_each(say::warning);
 }
 
 /// Number of notes of one kind that a warning shows: our choice, so that it can be read at a glance.
@@ -231,7 +232,7 @@ fn warn(notes: &[String], whole: &str) {
         n if whole.is_empty() => format!("; and {n} more"),
         n => format!("; and {n} more: {whole}"),
     };
-    eprintln!("sandgait: warning: {}{more}", notes[..notes.len().min(SHOWN)].join("; "));
+    say::warning(format_args!("{}{more}", notes[..notes.len().min(SHOWN)].join("; ")));
 }
 
 /// Pretty JSON with a newline.

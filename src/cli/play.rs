@@ -1,6 +1,6 @@
 //! `sandgait play`
 
-use super::OptionArgs;
+use super::{OptionArgs, say};
 use sandgait::env::Shard;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
@@ -77,9 +77,9 @@ impl PlayArgs {
         let listener = bind_tcp(place).map_err(unusable)?;
         let bound = listener.local_addr().map_err(unusable)?;
         if !bound.ip().is_loopback() {
-            eprintln!(
-                "sandgait: warning: other machines can reach this page, without encryption: all of them see the robot, and those \
-                 that know the address below steer it"
+            say::warning(
+                "other machines can reach this page, without encryption: all of them see the robot, and those \
+                 that know the address below steer it",
             );
         }
         let address = format!("http://{}/#key={key}", reached(bound));

@@ -1,5 +1,6 @@
 //! Progress of a command's work on stderr: a bar on a terminal, and lines where the output goes to a file or a pipe.
 
+use super::say;
 use indicatif::{ProgressBar, ProgressStyle};
 use parking_lot::Mutex;
 use sandgait::Result;
@@ -32,7 +33,7 @@ pub fn next_step(line: Option<String>) {
 pub fn say_next() {
     let person = !is_silent() && std::io::stdout().is_terminal() && std::io::stderr().is_terminal();
     if let Some(line) = NEXT.lock().take().filter(|_| person) {
-        eprintln!("next: {line}");
+        say::next(line);
     }
 }
 
@@ -61,7 +62,7 @@ impl ProgressLog {
             return None;
         }
         (self.tenth, self.at) = (tenth, now);
-        Some(format!("sandgait: {:.0} % of {stage}", 100.0 * done))
+        Some(format!("{:.0} % of {stage}", 100.0 * done))
     }
 }
 
@@ -84,7 +85,7 @@ impl Progress for Bar {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if let Some(log) = &self.log {
             let line = log.lock().line(done, stage, Instant::now());
-            line.iter().for_each(|line| eprintln!("{line}"));
+            line.iter().for_each(|line| say::note(line));
             return Ok(());
         }
         self.bar.set_message(stage.to_owned());
@@ -94,7 +95,7 @@ impl Progress for Bar {
 
     fn note(&self, line: &str) {
         if !is_silent() {
-            self.bar.suspend(|| eprintln!("sandgait: {line}"));
+            self.bar.suspend(|| say::note(line));
         }
     }
 }
@@ -124,7 +125,7 @@ mod tests {
         assert!(lines(1.5).is_empty());
         let minute = lines(60.0);
         assert_eq!(minute.len(), 10);
-        assert_eq!(minute[0], (6.0, "sandgait: 10 % of the work".into()));
+        assert_eq!(minute[0], (6.0, "10 % of the work".into()));
         assert_eq!(lines(5.0).len(), 2);
         let hour = lines(3600.0);
         assert!(hour.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 60.0) && hour.len() == 60, "{}", hour.len());
