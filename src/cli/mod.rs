@@ -17,6 +17,7 @@ mod robot_json;
 mod robots;
 mod say;
 mod serve;
+mod signals;
 mod stress;
 mod studies;
 mod study;

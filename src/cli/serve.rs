@@ -1,5 +1,6 @@
 //! `sandgait serve`
 
+use super::signals::StopSignals;
 use sandgait::service::{self, Address, Limits, Listener, Seal, ServerSetup, StateDir, Tls, Token};
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
@@ -7,7 +8,6 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt as _;
@@ -354,21 +354,19 @@ impl LogFormat {
 
 /// `state`: the folder in which sessions are saved.
 fn on_signals(stop: &CancellationToken, state: Option<&Path>) -> Result<()> {
-    for (kind, name) in [(SignalKind::terminate(), "SIGTERM"), (SignalKind::interrupt(), "SIGINT")] {
-        let mut signal = signal(kind).map_err(|e| Error::Exhausted(format!("cannot listen for signals: {e}")))?;
-        let stop = stop.clone();
-        let state = state.map(|folder| folder.display().to_string());
-        tokio::spawn(async move {
-            signal.recv().await;
-            match state {
-                Some(folder) => tracing::info!(signal = name, folder, "this server stops and saves its sessions"),
-                None => {
-                    tracing::info!(signal = name, "this server stops; without --state-dir its sessions are not saved");
-                }
-            }
-            stop.cancel();
-        });
-    }
+    let mut signals = StopSignals::new().map_err(|e| Error::Exhausted(format!("cannot listen for signals: {e}")))?;
+    let stop = stop.clone();
+    let state = state.map(|folder| folder.display().to_string());
+    tokio::spawn(async move {
+        let signal = signals.next().await;
+        match state {
+            Some(folder) => tracing::info!(signal, folder, "this server stops and saves its sessions"),
+            None => tracing::info!(signal, "this server stops; without --state-dir its sessions are not saved"),
+        }
+        stop.cancel();
+        // Later signals are heard and change nothing.
+        std::future::pending::<()>().await;
+    });
     Ok(())
 }
 

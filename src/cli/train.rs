@@ -2,6 +2,7 @@
 
 use super::Bar;
 use super::OptionArgs;
+use super::signals::StopSignals;
 use sandgait::client::ServerAddress;
 use sandgait::client::training::TrainingSession;
 use sandgait::env::Task;
@@ -17,7 +18,6 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use tokio::signal::unix::{SignalKind, signal};
 
 /// Learn a gait by PPO in the same process as the environments, without Python.
 ///
@@ -276,12 +276,9 @@ fn interrupted() -> Arc<AtomicBool> {
         // If signals cannot be handled, Ctrl-C ends the process at once, as usual.
         let Ok(runtime) = runtime else { return };
         runtime.block_on(async {
-            let Ok(mut terminate) = signal(SignalKind::terminate()) else { return };
+            let Ok(mut signals) = StopSignals::new() else { return };
             loop {
-                tokio::select! {
-                    heard = tokio::signal::ctrl_c() => if heard.is_err() { return },
-                    _ = terminate.recv() => (),
-                }
+                signals.next().await;
                 if heard.swap(true, Ordering::Relaxed) {
                     std::process::exit(130);
                 }

@@ -1,17 +1,10 @@
 //! A server's address and credentials.
 
-use hyper_util::rt::TokioIo;
-use std::future::Future;
-use std::path::PathBuf;
-use std::pin::Pin;
-use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::net::UnixStream;
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
-use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Request, Status};
-use tower_service::Service;
 
 /// Interval of pings, and longest wait for their answers: our choice. A vanished host is noticed within 40 s, and an
 /// idle connection costs three pings a minute.
@@ -52,10 +45,13 @@ impl ServerAddress {
         let token = self.token.as_ref().map(|token| format!("Bearer {token}").parse());
         let bearer = Bearer(token.transpose().map_err(|_| Status::invalid_argument("token: not visible ASCII"))?);
         let channel = match self.address.strip_prefix("unix:") {
+            #[cfg(unix)]
             Some(path) => {
-                let socket = UnixConnector(PathBuf::from(path));
+                let socket = super::unix_socket::UnixConnector(path.into());
                 endpoint("http://localhost".into())?.connect_with_connector(socket).await
             }
+            #[cfg(not(unix))]
+            Some(_) => return Err(Status::invalid_argument("address: this system has no Unix sockets; use host:port")),
             None if self.tls => {
                 let endpoint = endpoint(format!("https://{}", self.address))?;
                 endpoint.tls_config(self.encryption()).map_err(|e| unreachable(&e))?.connect().await
@@ -90,23 +86,4 @@ fn endpoint(uri: String) -> Result<Endpoint, Status> {
 /// The status that says why there is no connection.
 fn unreachable(error: &tonic::transport::Error) -> Status {
     Status::unavailable(super::reason(error))
-}
-
-/// Connects to a Unix socket at any path.
-#[derive(Clone)]
-struct UnixConnector(PathBuf);
-
-impl Service<Uri> for UnixConnector {
-    type Response = TokioIo<UnixStream>;
-    type Error = std::io::Error;
-    type Future = Pin<Box<dyn Future<Output = std::io::Result<Self::Response>> + Send>>;
-
-    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn call(&mut self, _: Uri) -> Self::Future {
-        let path = self.0.clone();
-        Box::pin(async move { UnixStream::connect(path).await.map(TokioIo::new) })
-    }
 }

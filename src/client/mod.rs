@@ -18,6 +18,8 @@ mod keeper;
 mod stream;
 mod studies;
 pub mod training;
+#[cfg(unix)]
+mod unix_socket;
 
 pub use address::ServerAddress;
 pub use stream::{PATIENCE, Stream};

@@ -1,18 +1,12 @@
 //! The address that a server listens on: TCP or a Unix socket.
 
+use super::platform::{BACKLOG, SocketFile, UnixListener, bind_unix};
 use crate::error::{Error, Result};
 use std::fmt::{self, Display, Formatter};
-use std::fs::{self, Permissions};
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
-use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
-use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixSocket};
-
-/// Largest number of connections that the kernel queues until they are accepted: our choice, as many as the server has
-/// at a time by default.
-const BACKLOG: u32 = 1024;
+use tokio::net::{TcpListener, TcpSocket};
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
@@ -84,23 +78,7 @@ impl Listener {
                 Ok(address) => Ok(Address::Tcp(address)),
                 Err(e) => Err(Error::Exhausted(format!("the listening socket is unusable: {e}"))),
             },
-            Self::Unix(_, file) => Ok(Address::Unix(file.path.clone())),
-        }
-    }
-}
-
-/// The socket file that this process made.
-pub struct SocketFile {
-    path: PathBuf,
-    inode: u64,
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        // Another server may have replaced the file by its own socket.
-        if fs::symlink_metadata(&self.path).is_ok_and(|m| m.ino() == self.inode) {
-            // If it cannot be removed, the next server finds it stale.
-            let _ = fs::remove_file(&self.path);
+            Self::Unix(_, file) => Ok(Address::Unix(file.path().clone())),
         }
     }
 }
@@ -113,31 +91,4 @@ pub fn bind_tcp(address: SocketAddr) -> std::io::Result<TcpListener> {
     socket.set_reuseaddr(true)?;
     socket.bind(address)?;
     socket.listen(BACKLOG)
-}
-
-/// A socket to which only its owner can connect. The mode is set between bind and listen, before anyone can connect.
-fn bind_unix(path: &Path) -> std::io::Result<(UnixListener, SocketFile)> {
-    remove_stale(path)?;
-    let socket = UnixSocket::new_stream()?;
-    socket.bind(path)?;
-    let file = SocketFile { path: path.into(), inode: fs::symlink_metadata(path)?.ino() };
-    fs::set_permissions(path, Permissions::from_mode(0o600))?;
-    Ok((socket.listen(BACKLOG)?, file))
-}
-
-/// Removes the socket of a server that no longer runs; any other file at this path is kept and gives an error.
-fn remove_stale(path: &Path) -> std::io::Result<()> {
-    use std::io::{Error, ErrorKind};
-    match fs::symlink_metadata(path) {
-        Err(e) if e.kind() == ErrorKind::NotFound => Ok(()),
-        Err(e) => Err(e),
-        Ok(m) if !m.file_type().is_socket() => {
-            Err(Error::new(ErrorKind::AlreadyExists, "a file that is no socket is there"))
-        }
-        Ok(_) => match UnixStream::connect(path) {
-            Err(e) if e.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path),
-            Err(e) => Err(e),
-            Ok(_) => Err(Error::new(ErrorKind::AddrInUse, "another server listens there")),
-        },
-    }
 }

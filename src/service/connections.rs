@@ -12,6 +12,7 @@
 //! rustls and hyper are called directly, because tonic and `axum::serve` cannot close a chosen connection.
 
 use super::connection_table::{ConnectionHandle, ConnectionTable, OPENING};
+use super::platform::{UnixListener, descriptors, limit_silence};
 use super::refusals::{Refusal, Refusals};
 use super::security::Tls;
 use super::sliced::{ReadTurn, SlicedStream};
@@ -23,14 +24,12 @@ use hyper::server::conn::{http1, http2};
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::graceful::{GracefulShutdown, Watcher};
-use rustix::net::sockopt::set_tcp_user_timeout;
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::{TcpListener, UnixListener};
+use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::time::{interval, timeout};
 use tokio_util::sync::CancellationToken;
@@ -60,12 +59,7 @@ const RESERVE: usize = 64;
 /// Number of connections, at most `wanted`, for which the limit of file descriptors leaves room besides `others`
 /// connections on other listeners. The room is at least 4.
 pub fn room(wanted: usize, others: usize) -> usize {
-    let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
-    // The soft limit exists for programs that use `select`; this program does not use it.
-    if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
-        current = maximum;
-    }
-    let descriptors = current.map_or(usize::MAX, |n| usize::try_from(n).unwrap_or(usize::MAX));
+    let descriptors = descriptors();
     let room = descriptors.saturating_sub(RESERVE + others).max(4);
     if room < wanted {
         tracing::info!(connections = room, descriptors, "fewer connections than allowed: descriptors are the limit");
@@ -87,7 +81,7 @@ impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
 /// An accepted connection, before its TLS handshake.
 enum Accepted {
     Tcp(tokio::net::TcpStream, SocketAddr),
-    Unix(tokio::net::UnixStream),
+    Unix(Box<dyn ByteStream>),
 }
 
 impl ListenSocket {
@@ -97,10 +91,10 @@ impl ListenSocket {
                 let (stream, address) = listener.accept().await?;
                 // Without this a small call takes 44 ms.
                 stream.set_nodelay(true)?;
-                set_tcp_user_timeout(&stream, SILENCE.as_millis() as u32)?;
+                limit_silence(&stream, SILENCE)?;
                 Ok(Accepted::Tcp(stream, address))
             }
-            Self::Unix(listener) => Ok(Accepted::Unix(listener.accept().await?.0)),
+            Self::Unix(listener) => Ok(Accepted::Unix(Box::new(listener.accept().await?.0))),
         }
     }
 }
@@ -214,7 +208,7 @@ impl Connections {
                 Err(_) => Err(format!("not done within {} s", OPENING.as_secs())),
             },
             (Accepted::Tcp(stream, _), None) => Ok(Box::new(stream)),
-            (Accepted::Unix(stream), _) => Ok(Box::new(stream)),
+            (Accepted::Unix(stream), _) => Ok(stream),
         }
     }
 

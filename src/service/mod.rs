@@ -40,6 +40,7 @@ pub mod limits;
 mod metrics;
 mod names;
 mod outgoing;
+mod platform;
 mod price;
 mod refusals;
 mod rollout;

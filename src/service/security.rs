@@ -1,12 +1,11 @@
 //! Access to this server: encryption, client certificates, the token.
 
+use super::platform;
 use crate::error::{Error, Result};
 use sha2::{Digest as _, Sha256};
 use std::fmt::Display;
-use std::fs;
 use std::io;
 use std::net::IpAddr;
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
 use subtle::ConstantTimeEq as _;
@@ -112,7 +111,7 @@ impl Tls {
 
 /// Warns if other users can read a file or directory of secrets; it is used nevertheless.
 pub fn warn_if_shared(path: &Path) {
-    if fs::metadata(path).is_ok_and(|m| m.permissions().mode() & 0o077 != 0) {
+    if platform::is_shared(path) {
         tracing::warn!(path = %path.display(), "others than its owner can use this, which holds secrets");
     }
 }

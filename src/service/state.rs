@@ -14,6 +14,7 @@
 
 use super::building::{LastAnswer, SessionEnvironments};
 use super::names::name;
+use super::platform;
 use super::proto::RunSessionResponse;
 use super::sessions::{Sessions, StoppedSession};
 use crate::env::registry::Blueprint;
@@ -25,7 +26,6 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
 use std::io::{ErrorKind, Write as _};
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -89,8 +89,9 @@ impl StateDir {
     /// The directory cannot be used, or another server uses it.
     pub fn new(path: &Path) -> Result<Self> {
         let unusable = |e: std::io::Error| Error::unwritten(path, &e);
-        fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(unusable)?;
-        let lock = File::options().create(true).append(true).mode(0o600).open(path.join(LOCK)).map_err(unusable)?;
+        platform::make_private_folder(path).map_err(unusable)?;
+        let mut own = File::options();
+        let lock = platform::private(own.create(true).append(true)).open(path.join(LOCK)).map_err(unusable)?;
         match lock.try_lock() {
             Ok(()) => Ok(Self { path: path.into(), _lock: Arc::new(lock), sync: File::sync_all }),
             Err(TryLockError::WouldBlock) => {
@@ -102,7 +103,7 @@ impl StateDir {
 
     /// Makes the names of new and removed files durable.
     fn sync_names(&self) -> Result<()> {
-        File::open(&self.path).and_then(|directory| (self.sync)(&directory)).map_err(|e| Error::file(&self.path, e))
+        platform::sync_folder(&self.path, self.sync).map_err(|e| Error::file(&self.path, e))
     }
 
     /// Restores every session with a file here. A file that cannot be restored is logged and stays.
