@@ -230,12 +230,15 @@ fn arms_hold_their_position() {
         let mut options = given;
         options["robot"] = json!(robot);
         let suited = suit(&mut options, &kept).unwrap();
-        (options["joints"].clone(), suited.note().is_some())
+        (options["joints"].clone(), options["commands"]["single_axis"].clone(), suited.notes(false).len())
     };
-    assert_eq!(suited(json!({}), Value::Null), (json!("legs"), true));
-    assert_eq!(suited(json!({"joints": "all"}), Value::Null), (json!("all"), false));
-    assert_eq!(suited(json!({}), json!({"ground": "rigid"})), (Value::Null, false));
-    assert_eq!(suited(json!({}), json!({"joints": "legs"})), (json!("legs"), true));
+    let (legs, all, half) = (json!("legs"), json!("all"), json!(0.5));
+    let own = json!({"joints": "all", "commands": {"single_axis": 0.25}});
+    assert_eq!(suited(json!({}), Value::Null), (legs.clone(), half.clone(), 2));
+    assert_eq!(suited(own, Value::Null), (all, json!(0.25), 0));
+    // A training that goes on keeps what it has.
+    assert_eq!(suited(json!({}), json!({"ground": "rigid"})), (Value::Null, Value::Null, 0));
+    assert_eq!(suited(json!({}), json!({"joints": "legs", "commands": {"single_axis": 0.5}})), (legs, half, 1));
 }
 
 /// A joint that follows another stays within 2 mrad of its line while the leader moves, within 20 mrad when feet hit the

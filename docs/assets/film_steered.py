@@ -1,4 +1,4 @@
-"""Makes the films of steered robots in README and the site: ANYmal C and PhantomX on packed seeds follow arrow keys.
+"""Makes the films of steered robots in README and the site: ANYmal C and PhantomX on packed seeds and H1 on hard ground follow arrow keys.
 `make film` runs this file."""
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 FILMS = {
     "steered.webp": ("LeggedVelocity-anymal_c", 0.8, 0.7),
     "steered_hexapod.webp": ("LeggedVelocity-phantomx", 0.24, 0.58),
+    "steered_biped.webp": ("LeggedVelocity-h1", 1.0, 0.5),
 }
 #: Keys that are held and for how many control steps of 20 ms; the first part is not filmed.
 KEYS = [("", 50), ("up", 125), ("up left", 150), ("right", 125), ("up", 100)]

@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import resource
 import signal
 import sys
 from collections.abc import Iterator
@@ -129,18 +128,28 @@ def end_with(parent: int) -> None:
             sys.exit(1)
 
 
-def main(parent: str, seconds: str, form: str, file: str, *topics: str) -> None:
-    """Writes the table, or one line on stderr."""
-    end_with(int(parent))
+def limit(seconds: int) -> None:
+    """Limits memory, files and processor time of this process."""
+    import resource  # Windows lacks it
+
     limits = (
         (resource.RLIMIT_AS, MEMORY),
         (resource.RLIMIT_FSIZE, UNPACKED),
         (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_CPU, int(seconds)),
+        (resource.RLIMIT_CPU, seconds),
     )
     for what, most in limits:
         with suppress(ValueError, OSError):  # some systems do not have all limits
             resource.setrlimit(what, (most, most))
+
+
+def main(parent: str, seconds: str, form: str, file: str, *topics: str) -> None:
+    """Writes the table, or one line on stderr."""
+    end_with(int(parent))
+    if sys.platform == "win32":
+        print("this system has no limits of a process's memory and time, so none are set", file=sys.stderr)
+    else:
+        limit(int(seconds))
     path = Path(file)
     load("pyarrow.csv", *(("pyarrow.parquet",) if form == "parquet" else ("rosbags.typesys", "mcap.reader")))
     try:

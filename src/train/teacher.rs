@@ -51,7 +51,8 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     GaitPrior::of(task.model(), number("action_scale"), task.option(JOINTS) == LEGS, number(CLOCK_RATE))
 }
 
-/// For a robot with arms, holds their joints. For a robot with a plain gait, sets in `options` of LeggedVelocity the clock of the
+/// For a robot with arms, holds their joints. For a robot with two legs, sets the share of commands along one axis. For a robot with a
+/// plain gait, sets in `options` of LeggedVelocity the clock of the
 /// observation to the gait's strides, the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of
 /// commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
 /// six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
@@ -61,8 +62,11 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let blueprint = Blueprint::new(LeggedVelocity::ID, options.clone())?;
     let held = hold_arms(&blueprint, options, kept);
     let blueprint = if held > 0 { Blueprint::new(LeggedVelocity::ID, options.clone())? } else { blueprint };
-    let Some(prior) = plain_gait(&blueprint)? else {
-        return Ok(Suited { held, ..Suited::default() });
+    let prior = plain_gait(&blueprint)?;
+    let two_legs = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.feet.len() == 2);
+    let one_axis = (two_legs || prior.is_some()) && draw_one_axis(options, kept);
+    let Some(prior) = prior else {
+        return Ok(Suited { held, one_axis, ..Suited::default() });
     };
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
     if options[CLOCK_RATE].is_null() {
@@ -70,10 +74,6 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     }
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
-    }
-    let share = if kept.is_null() { json!(SINGLE_AXIS) } else { kept["commands"][ONE_AXIS].clone() };
-    if options["commands"][ONE_AXIS].is_null() && !share.is_null() {
-        options["commands"][ONE_AXIS] = share;
     }
     let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
     let speeds = options[SPEEDS].is_null() && !["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given);
@@ -102,7 +102,18 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         }
     };
     options["rewards"] = Value::Object(rewards);
-    Ok(Suited { speeds, weaker, kept: kept_weights, held })
+    Ok(Suited { speeds, weaker, kept: kept_weights, held, one_axis })
+}
+
+/// Lets a share of the commands be along one axis, if the option is not given: where every command has a part forward, a biped does
+/// not learn to step in place for a turn. Is the share this rule's? A training that goes on keeps what it has.
+fn draw_one_axis(options: &mut Value, kept: &Value) -> bool {
+    let share = if kept.is_null() { json!(SINGLE_AXIS) } else { kept["commands"][ONE_AXIS].clone() };
+    if !options["commands"][ONE_AXIS].is_null() || share.is_null() {
+        return false;
+    }
+    options["commands"][ONE_AXIS] = share;
+    kept.is_null()
 }
 
 /// Holds the joints of waist, arms and head, if the option is not given: their noise throws a biped over before it has learnt to stand.
@@ -131,17 +142,25 @@ pub struct Suited {
     kept: Vec<String>,
     /// Number of joints that are in no leg and hold their default position.
     held: usize,
+    /// The share of commands along one axis.
+    one_axis: bool,
 }
 
 impl Suited {
-    /// A line that says which joints are held.
-    pub fn note(&self) -> Option<String> {
-        (self.held > 0).then(|| {
+    /// Lines that say which joints are held, and how the commands of a robot without a plain gait are drawn.
+    pub fn notes(&self, has_gait: bool) -> Vec<String> {
+        let held = (self.held > 0).then(|| {
             format!(
                 "{} joints that are in no leg hold their default position (--option joints=all moves them)",
                 self.held
             )
-        })
+        });
+        let drawn = (self.one_axis && !has_gait).then(|| {
+            format!(
+                "commands.single_axis is {SINGLE_AXIS}, because the robot has two legs: this share of the commands is along one axis"
+            )
+        });
+        held.into_iter().chain(drawn).collect()
     }
 }
 
