@@ -93,11 +93,19 @@ pub type ScreenPoint = ([f32; 2], f64);
 /// How far feet may stand from the middle of a robot from a file, in standing heights, before the camera moves away: our choice. Dogs'
 /// stand nearer, those of a low robot with legs to the sides farther out.
 const WIDE: f64 = 1.5;
+/// The same for the height of a robot. At [`DISTANCE`] and [`ELEVATION`] the upper edge of a picture shows what is 1.63 standing heights
+/// above the ground, and a tenth is room for the text: humanoids have their base in the middle.
+const TALL: f64 = 1.45;
 
-/// Half of the robot's length with extended legs [m]; for a robot from a file, its standing height, or more if its legs reach far.
+/// Half of the robot's length with extended legs [m]; for a robot from a file, its standing height, or more if its legs reach far or much
+/// of it is above its base.
 pub fn radius(model: &Model) -> f64 {
     if let Some(tree) = &model.tree {
-        return tree.standing_height(&tree.stance.angles).max(tree.reach() / WIDE).max(1e-3);
+        return tree
+            .standing_height(&tree.stance.angles)
+            .max(tree.reach() / WIDE)
+            .max(tree.tallness() / TALL)
+            .max(1e-3);
     }
     let reach = |chain: &Vec<crate::sim::model::LinkBody>| {
         chain[0].joint.norm() + chain.iter().map(|b| b.reach.norm()).sum::<f64>()
@@ -293,6 +301,15 @@ mod tests {
         let rise = |c: &Camera| at(c, -0.1, 0.0, 0.0).0[1] - at(c, 0.1, 0.0, 0.0).0[1];
         assert!(rise(&camera(20.0)) > rise(&level) + 20.0);
         assert!(rise(&camera(-20.0)) < rise(&level) - 20.0);
+    }
+
+    /// What is [`TALL`] radii high is below the text in the picture.
+    #[test]
+    fn a_tall_robot_fits() {
+        let ground = V::new(0.0, 0.0, -0.25);
+        let camera = Camera::around(&CameraOptions::default(), V::zeros(), 1.0, [480, 360]);
+        let top = camera.see(ground + V::z() * TALL).unwrap().0[1];
+        assert!((20.0..40.0).contains(&top), "{top}");
     }
 
     #[test]

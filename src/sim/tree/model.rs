@@ -175,6 +175,17 @@ impl TreeModel {
         frames.iter().zip(self.plates.iter()).map(of).fold(0.0, f64::max)
     }
 
+    /// Height of the highest point of contact over the lowest one in the standing pose [m].
+    pub fn tallness(&self) -> f64 {
+        let frames = frames(&self.tree, &State::at_rest(0.0, &self.stance.angles));
+        let high = |(frame, points): (&nalgebra::Isometry3<f64>, &Vec<ContactPoint>)| {
+            let up = frame.rotation.inverse() * Vector3::z();
+            points.iter().map(|p| frame.translation.z + p.reach(&up)).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let top = frames.iter().zip(self.contacts.iter()).map(high).fold(f64::NEG_INFINITY, f64::max);
+        if top.is_finite() { self.standing_height(&self.stance.angles) + top } else { 0.0 }
+    }
+
     pub fn joints(&self) -> usize {
         self.motors.len()
     }
