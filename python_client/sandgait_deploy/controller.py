@@ -99,7 +99,7 @@ class Controller:
         self.policy: Policy = read_policy(folder)
         policy = self.policy
         self._readings = Readings(policy, joints, quaternion)
-        self._network = Network(policy.network, len(policy.observation), len(policy.action_low), runtime)
+        self._network = Network(policy.network, len(policy.observation), policy.actions, runtime)
         self._observer = Observer(policy)
         self._heading_checked = heading_checked
         driven = [servo.joint for servo in policy.servos]
@@ -126,7 +126,7 @@ class Controller:
         self._targets: Floats | None = None
         self._from: Floats = self._default
         self._steps = self._halted = 0
-        self._last_action = np.zeros(len(self.policy.action_low), np.float32)
+        self._last_action = np.zeros(self.policy.actions, np.float32)
         self._observer.forget()
 
     def stand(self) -> None:
@@ -140,7 +140,7 @@ class Controller:
         if self.state != "standing":
             raise Refused(f"walk: the state is {self.state}, not standing; call stand, then step until it stands")
         self.state, self._steps = "walking", 0
-        self._last_action = np.zeros(len(self.policy.action_low), np.float32)
+        self._last_action = np.zeros(self.policy.actions, np.float32)
         self._observer.forget()
 
     def stop(self) -> None:

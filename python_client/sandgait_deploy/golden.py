@@ -135,7 +135,7 @@ def _readings(
 def _names(name: str, policy: Policy) -> list[str]:
     if name in ("target", "effort"):
         return [f"{name}:{servo.joint}" for servo in policy.servos]
-    count = len(policy.observation) if name == "observation" else len(policy.action_low)
+    count = len(policy.observation) if name == "observation" else policy.actions
     return [f"{'obs' if name == 'observation' else name}:{k}" for k in range(count)]
 
 

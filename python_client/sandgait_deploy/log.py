@@ -37,7 +37,7 @@ class Log:
         names += ["command_x", "command_y", "command_yaw"]
         driven = [servo.joint for servo in policy.servos]
         names += [f"target:{joint}" for joint in driven]
-        names += [f"action:{joint}" for joint in driven[: len(policy.action_low)]]
+        names += [f"action:{joint}" for joint in driven[: policy.actions]]
         try:
             self._rows: _Csv | _Mcap = (_Mcap if Path(path).suffix == ".mcap" else _Csv)(Path(path), names)
         except OSError as error:
@@ -55,7 +55,7 @@ class Log:
         for name in _JOINTS:
             cells += _cells(read.get(name), len(policy.joints))
         cells += _cells(command, 3)
-        cells += _cells(targets, len(policy.servos)) + _cells(output.action, len(policy.action_low))
+        cells += _cells(targets, len(policy.servos)) + _cells(output.action, policy.actions)
         self._rows.write(cells)
 
     def close(self) -> None:

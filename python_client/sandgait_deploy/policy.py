@@ -216,8 +216,8 @@ def _check(path: Path, policy: Policy, targets: int) -> None:
     unknown = [servo.joint for servo in policy.servos if servo.joint not in policy.joints]
     if unknown:
         reason = f"target {unknown[0]!r} is none of the joints"
-    elif targets != len(policy.action_low):
-        reason = f"{targets} targets and {len(policy.action_low)} actions"
+    elif targets != policy.actions:
+        reason = f"{targets} targets and {policy.actions} actions"
     elif any(not c.reading for c in policy.observation):
         reason = f"observation {next(c.name for c in policy.observation if not c.reading)!r} has no reading"
     elif not policy.network_is_described:
