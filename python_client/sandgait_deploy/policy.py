@@ -112,6 +112,11 @@ class Policy:
         return 1 + max(c.index for c in self.observation if c.reading == reading)
 
     @property
+    def actions(self) -> int:
+        """Length of the action."""
+        return len(self.action_low)
+
+    @property
     def driven(self) -> list[int]:
         """For each servo the place of its joint in `joints`."""
         return [self.joints.index(servo.joint) for servo in self.servos]
