@@ -1,5 +1,5 @@
-"""Makes the films of steered robots in README and the site: ANYmal C and PhantomX on packed seeds and H1 on hard ground follow arrow keys.
-`make film` runs this file."""
+"""Makes the films of steered robots in README and the site: ANYmal C and PhantomX on packed seeds, and H1 on hard
+ground, follow arrow keys. `make film` runs this file."""
 
 from __future__ import annotations
 

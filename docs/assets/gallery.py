@@ -1,5 +1,5 @@
-"""Makes the picture of all robots that have a name, and of the kept robots from files, on packed poppy seeds. `make gallery` runs this
-file; it needs the packages of `pip install 'sandgait[robots]'`."""
+"""Makes the picture of all robots that have a name, and of the kept robots from files, on packed poppy seeds.
+`make gallery` runs this file; it needs the packages of `pip install 'sandgait[robots]'`."""
 
 from __future__ import annotations
 
