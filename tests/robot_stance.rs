@@ -230,15 +230,12 @@ fn arms_hold_their_position() {
         let mut options = given;
         options["robot"] = json!(robot);
         let suited = suit(&mut options, &kept).unwrap();
-        (options["joints"].clone(), options["commands"]["single_axis"].clone(), suited.notes(false).len())
+        (options["joints"].clone(), suited.notes().len())
     };
-    let (legs, all, half) = (json!("legs"), json!("all"), json!(0.5));
-    let own = json!({"joints": "all", "commands": {"single_axis": 0.25}});
-    assert_eq!(suited(json!({}), Value::Null), (legs.clone(), half.clone(), 2));
-    assert_eq!(suited(own, Value::Null), (all, json!(0.25), 0));
-    // A training that goes on keeps what it has.
-    assert_eq!(suited(json!({}), json!({"ground": "rigid"})), (Value::Null, Value::Null, 0));
-    assert_eq!(suited(json!({}), json!({"joints": "legs", "commands": {"single_axis": 0.5}})), (legs, half, 1));
+    assert_eq!(suited(json!({}), Value::Null), (json!("legs"), 1));
+    assert_eq!(suited(json!({"joints": "all"}), Value::Null), (json!("all"), 0));
+    assert_eq!(suited(json!({}), json!({"ground": "rigid"})), (Value::Null, 0));
+    assert_eq!(suited(json!({}), json!({"joints": "legs"})), (json!("legs"), 1));
 }
 
 /// A joint that follows another stays within 2 mrad of its line while the leader moves, within 20 mrad when feet hit the
@@ -353,18 +350,44 @@ fn resets_change_gains_commands_and_ground() {
     assert!(refused(json!({"stiffness": {"knee": -1.0}})).contains("stiffness"));
 }
 
+/// A robot on two legs.
+fn biped() -> Import {
+    let text = quadruped([-2.6, -0.6], false);
+    // Without the rear legs.
+    let import =
+        read(&(text.split("<link name=\"rl_thigh\">").next().unwrap().to_owned() + "</robot>"), "urdf").unwrap();
+    assert_eq!(import.stance.legs.len(), 2);
+    import
+}
+
+/// `sandgait train` gives two legs a clock and commands along one axis, unless the options are given or the training goes on without
+/// them; four legs get neither.
+#[test]
+fn bipeds_have_a_clock() {
+    let suited = |robot: &Import, given: Value, kept: Value| {
+        let mut options = given;
+        options["robot"] = json!(pack(robot));
+        let said = suit(&mut options, &kept).unwrap().notes().concat();
+        (options["gait_clock"].clone(), options["commands"]["single_axis"].clone(), said)
+    };
+    let (two, four) = (biped(), read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
+    let strides = 0.33 * (9.81 / two.stance.leg_length).sqrt();
+    let (clock, share, said) = suited(&two, json!({}), Value::Null);
+    assert!((clock.as_f64().unwrap() / strides - 1.0).abs() < 0.03 && share == 0.5, "{clock} {share}");
+    assert!(said.contains("two legs") && said.contains("gait_clock") && said.contains("single_axis"), "{said}");
+    let own = json!({"gait_clock": 2.0, "commands": {"single_axis": 0.25}});
+    let given = (json!(2.0), json!(0.25), String::new());
+    assert_eq!(suited(&two, own.clone(), Value::Null), given);
+    assert_eq!(suited(&two, json!({}), own), given);
+    let none = (Value::Null, Value::Null, String::new());
+    assert_eq!(suited(&two, json!({}), json!({"ground": "rigid"})), none);
+    assert_eq!(suited(&four, json!({}), Value::Null), none);
+}
+
 /// A robot on two legs ends its episode when its base is low; on hard ground also when a trunk on top of it touches.
 #[test]
 fn bipeds_fall() {
-    let text = quadruped([-2.6, -0.6], false);
-    let mut biped = String::new();
-    for part in text.split_inclusive('>') {
-        biped += part;
-    }
-    // Without the rear legs.
-    let doc: String = biped.split("<link name=\"rl_thigh\">").next().unwrap().to_owned() + "</robot>";
-    let import = read(&doc, "urdf").unwrap();
-    assert_eq!(import.stance.legs.len(), 2);
+    let import = biped();
     for ground in ["rigid", "poppy-close"] {
         let options = json!({"robot": pack(&import), "ground": ground, "domain_rand": null});
         let blueprint = Blueprint::new(ID, options).unwrap();

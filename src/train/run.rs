@@ -101,7 +101,7 @@ impl TrainingRequest {
         let suited = self.suit(&mut options)?;
         let plan = self.plan(&options)?;
         let taught = plan.teacher.as_ref().map(|own| own.note(self.settings.gait_prior, &suited));
-        suited.notes(taught.is_some()).iter().chain(&taught).for_each(|note| progress.note(note));
+        suited.notes().iter().chain(&taught).for_each(|note| progress.note(note));
         plan.notes.iter().for_each(|note| progress.note(note));
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
         let checkpoint::Checkpoint { learnt, open, mut notices } = self.begin(&plan)?;

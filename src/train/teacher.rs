@@ -5,6 +5,7 @@
 use super::settings::Hyperparameters;
 use crate::env::legged::columns::CLOCK;
 use crate::env::legged::prior::GaitPrior;
+use crate::env::legged::units::Units;
 use crate::env::legged::{LEGS, LeggedVelocity};
 use crate::env::registry::Blueprint;
 use crate::env::spec::RewardTerm;
@@ -31,6 +32,10 @@ const NARROW: f64 = 0.03;
 /// Share of commands along one axis alone: our choice. Of commands that are drawn along all three axes hardly any is along one,
 /// and robots then turn or walk too fast where only that is commanded (docs/learning_hexapods.md).
 const SINGLE_AXIS: f64 = 0.5;
+/// Strides of two legs in a second, in units of √(g/ℓ): our choice; the 0.8 s of G1 and H1 in unitree_rl_gym (`period` in `g1_env.py`) are
+/// 0.33 and 0.38 of it. Only with a clock is the velocity of a stride tracked: within it a pelvis sways about its vertical axis faster
+/// than commands turn it, and G1 did not learn to turn (docs/robots_results.md).
+const BIPED_STRIDES: f64 = 0.33;
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their
 /// weight.
@@ -51,7 +56,7 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     GaitPrior::of(task.model(), number("action_scale"), task.option(JOINTS) == LEGS, number(CLOCK_RATE))
 }
 
-/// For a robot with arms, holds their joints. For a robot with two legs, sets the share of commands along one axis. For a robot with a
+/// For a robot with arms, holds their joints. For a robot with two legs, sets the share of commands along one axis and the clock. For a robot with a
 /// plain gait, sets in `options` of LeggedVelocity the clock of the
 /// observation to the gait's strides, the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of
 /// commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
@@ -65,13 +70,24 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let prior = plain_gait(&blueprint)?;
     let two_legs = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.feet.len() == 2);
     let one_axis = (two_legs || prior.is_some()) && draw_one_axis(options, kept);
-    let Some(prior) = prior else {
-        return Ok(Suited { held, one_axis, ..Suited::default() });
-    };
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
-    if options[CLOCK_RATE].is_null() {
-        options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
-    }
+    let strides = match &prior {
+        Some(prior) => Some(prior.stride.frequency),
+        None => {
+            (two_legs && kept.is_null()).then(|| two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate))
+        }
+    };
+    let clock = old(CLOCK_RATE).or(strides.map(|strides| json!(strides)));
+    let clock = clock.filter(|_| options[CLOCK_RATE].is_null() && (two_legs || prior.is_some()));
+    let ticks = clock.is_some() && kept.is_null();
+    clock.into_iter().for_each(|clock| options[CLOCK_RATE] = clock);
+    let Some(prior) = prior else {
+        let two_legs = [
+            one_axis.then(|| format!("commands.single_axis is {SINGLE_AXIS}")),
+            strides.filter(|_| ticks).map(|strides| format!("gait_clock is {strides} Hz")),
+        ];
+        return Ok(Suited { held, two_legs: two_legs.into_iter().flatten().collect(), ..Suited::default() });
+    };
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
     }
@@ -102,7 +118,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         }
     };
     options["rewards"] = Value::Object(rewards);
-    Ok(Suited { speeds, weaker, kept: kept_weights, held, one_axis })
+    Ok(Suited { speeds, weaker, kept: kept_weights, held, two_legs: Vec::new() })
 }
 
 /// Lets a share of the commands be along one axis, if the option is not given: where every command has a part forward, a biped does
@@ -142,25 +158,23 @@ pub struct Suited {
     kept: Vec<String>,
     /// Number of joints that are in no leg and hold their default position.
     held: usize,
-    /// The share of commands along one axis.
-    one_axis: bool,
+    /// Options that were set because the robot has two legs.
+    two_legs: Vec<String>,
 }
 
 impl Suited {
-    /// Lines that say which joints are held, and how the commands of a robot without a plain gait are drawn.
-    pub fn notes(&self, has_gait: bool) -> Vec<String> {
+    /// Lines that say which joints are held, and which options suit two legs.
+    pub fn notes(&self) -> Vec<String> {
         let held = (self.held > 0).then(|| {
             format!(
                 "{} joints that are in no leg hold their default position (--option joints=all moves them)",
                 self.held
             )
         });
-        let drawn = (self.one_axis && !has_gait).then(|| {
-            format!(
-                "commands.single_axis is {SINGLE_AXIS}, because the robot has two legs: this share of the commands is along one axis"
-            )
-        });
-        held.into_iter().chain(drawn).collect()
+        let own = self.two_legs.join(" and ");
+        let two_legs =
+            (!own.is_empty()).then(|| format!("because the robot has two legs, {own} (--set gait_prior=0: neither)"));
+        held.into_iter().chain(two_legs).collect()
     }
 }
 

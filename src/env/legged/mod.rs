@@ -14,7 +14,7 @@ pub mod episode;
 mod options;
 pub mod prior;
 mod reward;
-mod units;
+pub mod units;
 
 pub use draws::{Commands, DomainRand, MOST_COMMAND, SAND};
 pub use options::{LEGS, LeggedOptions, ReliefOptions};
