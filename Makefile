@@ -13,12 +13,13 @@ SOURCES := $(shell find src tests/data/real_wheel tests/data/grains tests/data/m
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-long test-rust test-python test-browser test-clients notices page-three native film gallery diagnosis-picture bench bench-peers bench-network study studies \
+.PHONY: help train policies check test test-long test-rust test-python test-browser test-clients notices page-three native film gallery diagnosis-picture bench bench-peers bench-network study studies \
 	study-messy study-convergence study-loop study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (4 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
 	@echo "make policies   train the policies in examples/policies again (some 70 minutes)"
+	@echo "make check   check formatting and lints, and run the unit tests, as often as you like"
 	@echo "make test    check formatting and lints, and run all tests, Rust and Python"
 	@echo "make test-long   run the tests of many cases in full: more seeds, logs, damaged files and seconds under load"
 	@echo "make test-browser   test the live page and replays in headless Chromium, which apt installs if it is missing"
@@ -62,13 +63,20 @@ policies: $(VENV)/sb3
 	$(BIN)/python examples/train_clock.py --out examples/policies/HexapodGait-clock
 	$(BIN)/python examples/train_stroke.py --out examples/policies/LegStroke
 
+check:
+	cargo fmt --all --check
+	PYO3_PYTHON=$(PYTHON) cargo clippy --release --workspace --all-targets -- -D warnings
+	if cargo nextest --version > /dev/null 2>&1; then cargo nextest run --release -E 'kind(lib)'; else cargo test --release --lib; fi
+	if [ -x $(BIN)/mypy ]; then $(BIN)/ruff check && $(BIN)/ruff format --check && $(BIN)/mypy; fi
+
 # Python's packages come while Rust is compiled.
 test:
 	$(MAKE) $(VENV)/packages & packages=$$!; $(MAKE) test-rust || { kill $$packages; exit 1; }; wait $$packages
 	$(MAKE) test-python
 
 # Tests need no code of one unit a crate, and two cores compile several units in less time.
-test test-long test-rust test-python: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS := 16
+check test test-long test-rust test-python: export CARGO_PROFILE_RELEASE_CODEGEN_UNITS := 16
+check: export CARGO_INCREMENTAL := 1
 
 # Tests of many cases take a part of these in `make test` (tests/testbed/long.rs, `LONG` in tests/python/conftest.py).
 test-long:
