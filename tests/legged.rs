@@ -165,6 +165,32 @@ fn some_commands_are_along_one_axis() {
     assert!((0.7 * expected..1.6 * expected).contains(&(alone[2] as f64)), "{alone:?}");
 }
 
+/// A robot that stands bears on all feet: each is in time with the clock for 55 % of a stride, and neighbours alternate.
+#[test]
+fn feet_are_rewarded_for_bearing_in_time() {
+    let options = json!({
+        "gait_clock": 1.0, "rewards": {"contact": 1.0}, "curriculum": null, "domain_rand": null, "ground": "rigid"
+    });
+    let place = column(&blueprint(options.clone()), "reward_contact");
+    let mut shard = shard(options, 1);
+    shard.set_command(0, [0.3, 0.0, 0.0]);
+    let mut in_time = |steps: usize| -> Vec<f32> {
+        (0..steps)
+            .map(|_| {
+                shard.step(&[0.0; 12]);
+                shard.rows.infos[place] * 50.0
+            })
+            .collect()
+    };
+    in_time(50);
+    let stride = in_time(50);
+    assert!(stride.iter().all(|feet| [2.0, 4.0].iter().any(|n| (feet - n).abs() < 1e-5)), "{stride:?}");
+    assert!((stride.iter().sum::<f32>() / 50.0 - 4.0 * 0.55).abs() < 0.05, "{stride:?}");
+    shard.set_command(0, [0.0; 3]);
+    shard.step(&[0.0; 12]);
+    assert_eq!(shard.rows.infos[place], 0.0);
+}
+
 #[test]
 fn broken_robots_and_options_are_refused_in_one_line() {
     let refused = |options: Value| {

@@ -360,7 +360,7 @@ fn biped() -> Import {
     import
 }
 
-/// `sandgait train` gives two legs a clock and commands along one axis, unless the options are given or the training goes on without
+/// `sandgait train` gives two legs a clock, a reward for steps in time and commands along one axis, unless the options are given or the training goes on without
 /// them; four legs get neither.
 #[test]
 fn bipeds_have_a_clock() {
@@ -368,18 +368,21 @@ fn bipeds_have_a_clock() {
         let mut options = given;
         options["robot"] = json!(pack(robot));
         let said = suit(&mut options, &kept).unwrap().notes().concat();
-        (options["gait_clock"].clone(), options["commands"]["single_axis"].clone(), said)
+        let [clock, contact, share] = ["/gait_clock", "/rewards/contact", "/commands/single_axis"]
+            .map(|at| options.pointer(at).and_then(Value::as_f64));
+        (clock, contact, share, said)
     };
     let (two, four) = (biped(), read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
     let strides = 0.33 * (9.81 / two.stance.leg_length).sqrt();
-    let (clock, share, said) = suited(&two, json!({}), Value::Null);
-    assert!((clock.as_f64().unwrap() / strides - 1.0).abs() < 0.03 && share == 0.5, "{clock} {share}");
-    assert!(said.contains("two legs") && said.contains("gait_clock") && said.contains("single_axis"), "{said}");
-    let own = json!({"gait_clock": 2.0, "commands": {"single_axis": 0.25}});
-    let given = (json!(2.0), json!(0.25), String::new());
+    let (clock, contact, share, said) = suited(&two, json!({}), Value::Null);
+    assert!((clock.unwrap() / strides - 1.0).abs() < 0.03, "{clock:?}");
+    assert_eq!((contact, share), (Some(0.18), Some(0.5)));
+    assert!(["two legs", "gait_clock", "contact", "single_axis"].iter().all(|word| said.contains(word)), "{said}");
+    let own = json!({"gait_clock": 2.0, "rewards": {"contact": 0.1}, "commands": {"single_axis": 0.25}});
+    let given = (Some(2.0), Some(0.1), Some(0.25), String::new());
     assert_eq!(suited(&two, own.clone(), Value::Null), given);
     assert_eq!(suited(&two, json!({}), own), given);
-    let none = (Value::Null, Value::Null, String::new());
+    let none = (None, None, None, String::new());
     assert_eq!(suited(&two, json!({}), json!({"ground": "rigid"})), none);
     assert_eq!(suited(&four, json!({}), Value::Null), none);
 }

@@ -36,6 +36,10 @@ const SINGLE_AXIS: f64 = 0.5;
 /// 0.33 and 0.38 of it. Only with a clock is the velocity of a stride tracked: within it a pelvis sways about its vertical axis faster
 /// than commands turn it, and G1 did not learn to turn (docs/robots_results.md).
 const BIPED_STRIDES: f64 = 0.33;
+/// The reward term for feet that bear load in time with the clock, and its weight for two legs: unitree_rl_gym's for G1 and H1. A small
+/// biped with large soles that stands well did not begin to walk without it (docs/robots_results.md).
+const CONTACT: &str = "contact";
+const CONTACT_WEIGHT: f64 = 0.18;
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their
 /// weight.
@@ -56,9 +60,9 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
     GaitPrior::of(task.model(), number("action_scale"), task.option(JOINTS) == LEGS, number(CLOCK_RATE))
 }
 
-/// For a robot with arms, holds their joints. For a robot with two legs, sets the share of commands along one axis and the clock. For a robot with a
-/// plain gait, sets in `options` of LeggedVelocity the clock of the
-/// observation to the gait's strides, the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of
+/// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
+/// the weight of the term for steps in time, and the share of commands along one axis: where every command has a part forward, a biped
+/// does not learn to step in place for a turn. For a robot with a plain gait, sets the clock to the gait's strides, the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of
 /// commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
 /// six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
 /// before the gait's.
@@ -68,26 +72,22 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let held = hold_arms(&blueprint, options, kept);
     let blueprint = if held > 0 { Blueprint::new(LeggedVelocity::ID, options.clone())? } else { blueprint };
     let prior = plain_gait(&blueprint)?;
-    let two_legs = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.feet.len() == 2);
-    let one_axis = (two_legs || prior.is_some()) && draw_one_axis(options, kept);
+    let two_legs = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.legs.len() == 2);
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
-    let strides = match &prior {
-        Some(prior) => Some(prior.stride.frequency),
-        None => {
-            (two_legs && kept.is_null()).then(|| two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate))
-        }
-    };
-    let clock = old(CLOCK_RATE).or(strides.map(|strides| json!(strides)));
-    let clock = clock.filter(|_| options[CLOCK_RATE].is_null() && (two_legs || prior.is_some()));
-    let ticks = clock.is_some() && kept.is_null();
-    clock.into_iter().for_each(|clock| options[CLOCK_RATE] = clock);
     let Some(prior) = prior else {
-        let two_legs = [
-            one_axis.then(|| format!("commands.single_axis is {SINGLE_AXIS}")),
-            strides.filter(|_| ticks).map(|strides| format!("gait_clock is {strides} Hz")),
-        ];
-        return Ok(Suited { held, two_legs: two_legs.into_iter().flatten().collect(), ..Suited::default() });
+        let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
+        let own: [(&[&str], f64); 3] =
+            [(&[CLOCK_RATE], strides), (&["rewards", CONTACT], CONTACT_WEIGHT), (&["commands", ONE_AXIS], SINGLE_AXIS)];
+        let mut set = |(path, value): (&[&str], f64)| {
+            suggest(options, kept, path, json!(value)).then(|| format!("{} {value}", path.join(".")))
+        };
+        let two_legs = own.into_iter().filter(|_| two_legs).filter_map(&mut set).collect();
+        return Ok(Suited { held, two_legs, ..Suited::default() });
     };
+    if options[CLOCK_RATE].is_null() {
+        options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
+    }
+    suggest(options, kept, &["commands", ONE_AXIS], json!(SINGLE_AXIS));
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
     }
@@ -121,14 +121,18 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     Ok(Suited { speeds, weaker, kept: kept_weights, held, two_legs: Vec::new() })
 }
 
-/// Lets a share of the commands be along one axis, if the option is not given: where every command has a part forward, a biped does
-/// not learn to step in place for a turn. Is the share this rule's? A training that goes on keeps what it has.
-fn draw_one_axis(options: &mut Value, kept: &Value) -> bool {
-    let share = if kept.is_null() { json!(SINGLE_AXIS) } else { kept["commands"][ONE_AXIS].clone() };
-    if !options["commands"][ONE_AXIS].is_null() || share.is_null() {
+/// Sets an option, or one in a table, that is not given. A training that goes on keeps what it has. Is `own` the value now?
+fn suggest(options: &mut Value, kept: &Value, path: &[&str], own: Value) -> bool {
+    let at = format!("/{}", path.join("/"));
+    let given = options.pointer(&at).is_some_and(|value| !value.is_null());
+    let value = if kept.is_null() { own } else { kept.pointer(&at).cloned().unwrap_or_default() };
+    if given || value.is_null() {
         return false;
     }
-    options["commands"][ONE_AXIS] = share;
+    match path {
+        [table, name] => options[*table][*name] = value,
+        names => names.iter().for_each(|name| options[*name] = value.clone()),
+    }
     kept.is_null()
 }
 
@@ -136,15 +140,11 @@ fn draw_one_axis(options: &mut Value, kept: &Value) -> bool {
 /// Returns their number. A training that goes on keeps what it has.
 fn hold_arms(blueprint: &Blueprint, options: &mut Value, kept: &Value) -> usize {
     let count = blueprint.task.model().tree.as_ref().map_or(0, |tree| tree.upper_joints().len());
-    if count == 0 || !options[JOINTS].is_null() {
-        return 0;
+    if count > 0 && (suggest(options, kept, &[JOINTS], json!(LEGS)) || kept[JOINTS] == LEGS) && options[JOINTS] == LEGS
+    {
+        return count;
     }
-    let held = if kept.is_null() { json!(LEGS) } else { kept[JOINTS].clone() };
-    if held.is_null() {
-        return 0;
-    }
-    options[JOINTS] = held;
-    if options[JOINTS] == LEGS { count } else { 0 }
+    0
 }
 
 /// What [`suit`] has changed.

@@ -159,6 +159,11 @@ impl LeggedEpisode {
         std::array::from_fn(|k| self.average[k] + share * (velocity[k] - self.average[k]))
     }
 
+    /// Phase of a clock of `frequency` [Hz] that begins with the episode, in [0, 1).
+    pub fn phase(&self, frequency: f64) -> f64 {
+        (frequency * (f64::from(self.step) / CONTROL_RATE)).fract()
+    }
+
     /// The command of the present step.
     fn command(&self, from: Draws) -> [f64; 3] {
         let k = (f64::from(self.step) / command_steps(from)) as usize;

@@ -81,6 +81,8 @@ pub struct LeggedVelocity {
     falls: [usize; 3],
     /// Default position of each joint [rad].
     angles: Vec<f64>,
+    /// For each foot: does it step half a stride after the first one?
+    second: Vec<bool>,
     /// The joint of each action, and the offset of its target at action 1 [rad].
     driven: Vec<(usize, f64)>,
     units: Units,
@@ -219,7 +221,22 @@ impl Task for LeggedVelocity {
         let units = Units::of(setup.model).up_to(options.max_velocity);
         let ease = options.curriculum.map_or(1.0, |_| curriculum::ease(setup.model));
         let clock = options.gait_clock.unwrap_or(0.0);
-        Ok(Self { spec, rewards, observation, figures, contacts, velocity, falls, angles, driven, units, ease, clock })
+        let second = tree.stance.second(&tree.tree);
+        Ok(Self {
+            spec,
+            rewards,
+            observation,
+            figures,
+            contacts,
+            velocity,
+            falls,
+            angles,
+            second,
+            driven,
+            units,
+            ease,
+            clock,
+        })
     }
 
     fn spec(&self) -> &Spec {
@@ -283,8 +300,8 @@ impl Task for LeggedVelocity {
         let command = task_state.legged.as_ref().map_or([0.0; 3], |l| l.now);
         let ahead = state.rotation();
         let heading = ahead[1][0].atan2(ahead[0][0]).sin_cos();
-        let seconds = task_state.legged.as_ref().map_or(0.0, |l| f64::from(l.step) / CONTROL_RATE);
-        let (sine, cosine) = (TAU * (self.clock * seconds).fract()).sin_cos();
+        let phase = task_state.legged.as_ref().map_or(0.0, |l| l.phase(self.clock));
+        let (sine, cosine) = (TAU * phase).sin_cos();
         let default = &self.angles;
         let observed = LeggedObserved {
             task_state,
@@ -310,8 +327,11 @@ impl Task for LeggedVelocity {
         let too_low = is_too_low(t.model, t.after);
         let default = &self.angles;
         let tracked = legged.tracked([velocity[0], velocity[1], angular_velocity[2]], self.clock);
+        let phase = legged.phase(self.clock);
+        let of_foot = |second: &bool| if *second { (phase + 0.5).fract() } else { phase };
         let step = LeggedStep {
             t,
+            phases: (self.clock > 0.0).then(|| self.second.iter().map(of_foot).collect()),
             tracked,
             legged,
             contacts,

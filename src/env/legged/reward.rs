@@ -19,6 +19,10 @@ pub const TRACKING_SIGMA: f64 = 0.1;
 /// A step is rewarded if its foot was in the air for longer than this [√(ℓ/g)]: legged_gym's 0.5 s for ANYmal's legs of 0.5 m.
 const AIR: f64 = 2.2;
 
+/// Share of a stride for which a foot bears load: that of unitree_rl_gym (`_reward_contact` in `g1_env.py`), a walk with both feet on the
+/// ground for a tenth of the stride.
+const STANCE: f64 = 0.55;
+
 /// Share of a joint's range, at each of its two ends, that the joint should avoid (A1 in legged_gym: soft limits of 0.9).
 const OUTER: f64 = 0.05;
 
@@ -61,6 +65,8 @@ pub struct LeggedStep<'a> {
     /// Default position of each joint [rad].
     pub default: &'a [f64],
     pub units: &'a Units,
+    /// Phase of the stride of each foot in [0, 1); None: there is no clock.
+    pub phases: Option<Vec<f64>>,
     /// σ of the tracking terms.
     pub sigma: f64,
     /// Gravity's direction after the step; this and the next two fields, velocity and angular velocity, are in the base's frame.
@@ -113,6 +119,9 @@ reward_terms! {
         stand_still: 0.0, "Σ |joint angle − default|; 0 if the commanded speed is above 0", |s| {
             if s.commanded() == 0.0 { off_default(s) } else { 0.0 }
         };
+        contact: 0.0, "number of feet that bear load in the first 55 % of their stride by `gait_clock`, and none in the rest; neighbours are half a stride apart; 0 without a clock or command", |s| {
+            if s.legged.now == [0.0; 3] { 0.0 } else { in_time(s) }
+        };
         termination: -100.0, "1 in the step that terminates the episode", |s| flag(s.terminated());
     }
 }
@@ -129,6 +138,12 @@ fn accelerations(t: &Transition) -> f64 {
 fn air_time(s: &LeggedStep) -> f64 {
     let landed = s.legged.air.iter().zip(&s.contacts.feet).filter(|(air, touches)| **air > 0.0 && **touches);
     landed.map(|(air, _)| (air + 1.0 / CONTROL_RATE) * s.units.rate - AIR).sum()
+}
+
+/// Number of feet that bear load when they should, and only then.
+fn in_time(s: &LeggedStep) -> f64 {
+    let Some(phases) = &s.phases else { return 0.0 };
+    s.contacts.feet.iter().zip(phases).filter(|(bears, phase)| **bears == (**phase < STANCE)).count() as f64
 }
 
 fn off_default(s: &LeggedStep) -> f64 {
