@@ -350,9 +350,9 @@ fn resets_change_gains_commands_and_ground() {
     assert!(refused(json!({"stiffness": {"knee": -1.0}})).contains("stiffness"));
 }
 
-/// A robot on two legs.
-fn biped() -> Import {
-    let text = quadruped([-2.6, -0.6], false);
+/// A robot on two legs whose joints have a torque limit of 1000 N·m and this damping [N·m·s/rad].
+fn biped(damping: f64) -> Import {
+    let text = quadruped([-2.6, -0.6], false).replace("<limit", &format!(r#"<dynamics damping="{damping}"/><limit"#));
     // Without the rear legs.
     let import =
         read(&(text.split("<link name=\"rl_thigh\">").next().unwrap().to_owned() + "</robot>"), "urdf").unwrap();
@@ -360,7 +360,7 @@ fn biped() -> Import {
     import
 }
 
-/// `sandgait train` gives two legs a clock, a reward for steps in time and commands along one axis, unless the options are given or the training goes on without
+/// `sandgait train` gives two legs a clock, a reward for steps in time, commands along one axis and speeds that servos reach, unless the options are given or the training goes on without
 /// them; four legs get neither.
 #[test]
 fn bipeds_have_a_clock() {
@@ -372,7 +372,7 @@ fn bipeds_have_a_clock() {
             .map(|at| options.pointer(at).and_then(Value::as_f64));
         (clock, contact, share, said)
     };
-    let (two, four) = (biped(), read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
+    let (two, four) = (biped(0.0), read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
     let strides = 0.33 * (9.81 / two.stance.leg_length).sqrt();
     let (clock, contact, share, said) = suited(&two, json!({}), Value::Null);
     assert!((clock.unwrap() / strides - 1.0).abs() < 0.03, "{clock:?}");
@@ -385,12 +385,20 @@ fn bipeds_have_a_clock() {
     let none = (None, None, None, String::new());
     assert_eq!(suited(&two, json!({}), json!({"ground": "rigid"})), none);
     assert_eq!(suited(&four, json!({}), Value::Null), none);
+    // Servos that turn with at most 5 rad/s.
+    let slow = biped(200.0);
+    let slowed = suited(&slow, json!({}), Value::Null).3;
+    assert!(!said.contains("max_velocity") && slowed.contains("max_velocity"), "{said}; {slowed}");
+    let mut options = json!({"robot": pack(&slow)});
+    suit(&mut options, &Value::Null).unwrap();
+    let most = 0.5 * 5.0 * slow.stance.leg_length / (1.5 * PI / 2.0);
+    assert!((options["max_velocity"][0].as_f64().unwrap() / most - 1.0).abs() < 0.05, "{options} {most}");
 }
 
 /// A robot on two legs ends its episode when its base is low; on hard ground also when a trunk on top of it touches.
 #[test]
 fn bipeds_fall() {
-    let import = biped();
+    let import = biped(0.0);
     for ground in ["rigid", "poppy-close"] {
         let options = json!({"robot": pack(&import), "ground": ground, "domain_rand": null});
         let blueprint = Blueprint::new(ID, options).unwrap();

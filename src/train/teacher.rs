@@ -11,8 +11,9 @@ use crate::env::registry::Blueprint;
 use crate::env::spec::RewardTerm;
 use crate::env::{Shard, Task};
 use crate::error::Result;
+use crate::sim::tree::TreeJoint;
 use serde_json::{Value, json};
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Names of the observation's columns with the command.
 const COMMANDS: [&str; 3] = ["commanded lin_vel_x", "commanded lin_vel_y", "commanded ang_vel_yaw"];
@@ -61,9 +62,9 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 }
 
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
-/// the weight of the term for steps in time, and the share of commands along one axis: where every command has a part forward, a biped
-/// does not learn to step in place for a turn. For a robot with a plain gait, sets the clock to the gait's strides, the greatest speeds of commands to what the gait reaches, narrow tracking terms, the share of
-/// commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
+/// the weight of the term for steps in time, the share of commands along one axis (where every command has a part forward, a biped does
+/// not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain gait, sets the
+/// clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
 /// six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
 /// before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
@@ -72,7 +73,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let held = hold_arms(&blueprint, options, kept);
     let blueprint = if held > 0 { Blueprint::new(LeggedVelocity::ID, options.clone())? } else { blueprint };
     let prior = plain_gait(&blueprint)?;
-    let two_legs = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.legs.len() == 2);
+    let on_two = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.legs.len() == 2);
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
     let Some(prior) = prior else {
         let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
@@ -81,7 +82,11 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         let mut set = |(path, value): (&[&str], f64)| {
             suggest(options, kept, path, json!(value)).then(|| format!("{} {value}", path.join(".")))
         };
-        let two_legs = own.into_iter().filter(|_| two_legs).filter_map(&mut set).collect();
+        let mut two_legs: Vec<String> = own.into_iter().filter(|_| on_two).filter_map(&mut set).collect();
+        let slow = speeds_of_servos(&blueprint).filter(|_| on_two && !ranges_are_given(options));
+        if let Some(speeds) = slow.filter(|speeds| suggest(options, kept, &[SPEEDS], json!(speeds))) {
+            two_legs.push(format!("{SPEEDS} {speeds:?} by what the servos reach"));
+        }
         return Ok(Suited { held, two_legs, ..Suited::default() });
     };
     if options[CLOCK_RATE].is_null() {
@@ -91,8 +96,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
     }
-    let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
-    let speeds = options[SPEEDS].is_null() && !["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given);
+    let speeds = options[SPEEDS].is_null() && !ranges_are_given(options);
     if speeds {
         options[SPEEDS] = old(SPEEDS).unwrap_or_else(|| json!(prior.speeds()));
     }
@@ -119,6 +123,31 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     };
     options["rewards"] = Value::Object(rewards);
     Ok(Suited { speeds, weaker, kept: kept_weights, held, two_legs: Vec::new() })
+}
+
+fn ranges_are_given(options: &Value) -> bool {
+    let given = |name: &str| options["commands"].get(name).is_some_and(|range| !range.is_null());
+    ["lin_vel_x", "lin_vel_y", "ang_vel_yaw"].into_iter().any(given)
+}
+
+/// The greatest speeds of commands forward, to the left [m/s] and yaw [rad/s] for legs whose servos are slow; None: they are fast
+/// enough for the default ranges. In a walk with a foot on the ground for 0.6 of the stride the hip swings the leg ahead 1.5 times as
+/// fast as v/ℓ, and π/2 times that at the middle of a sinusoid; a motor with a falling line gives most power at half of the speed at
+/// which its torque is 0.
+fn speeds_of_servos(blueprint: &Blueprint) -> Option<[f64; 3]> {
+    let model = blueprint.task.model();
+    let tree = model.tree.as_ref()?;
+    let free = |joint: &TreeJoint| {
+        let damped = joint.torque_limit.filter(|_| joint.damping > 0.0);
+        let damped = damped.map(|limit| (limit - joint.friction).max(0.0) / joint.damping);
+        [damped, joint.motor.no_load_speed].into_iter().flatten().fold(f64::INFINITY, f64::min)
+    };
+    let legs = |body: &usize| tree.tree.bodies[*body].joint.as_ref().map(free);
+    let slowest = tree.stance.legs.iter().flatten().filter_map(legs).fold(f64::INFINITY, f64::min);
+    let most = 0.5 * slowest * tree.stance.leg_length / (1.5 * FRAC_PI_2);
+    let usual = Units::of(model).commanded();
+    let share = most / usual[0];
+    (share < 1.0).then(|| usual.map(|speed| two_digits(share * speed)))
 }
 
 /// Sets an option, or one in a table, that is not given. A training that goes on keeps what it has. Is `own` the value now?
