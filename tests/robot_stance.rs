@@ -350,9 +350,11 @@ fn resets_change_gains_commands_and_ground() {
     assert!(refused(json!({"stiffness": {"knee": -1.0}})).contains("stiffness"));
 }
 
-/// A robot on two legs whose joints have a torque limit of 1000 N·m and this damping [N·m·s/rad].
-fn biped(damping: f64) -> Import {
-    let text = quadruped([-2.6, -0.6], false).replace("<limit", &format!(r#"<dynamics damping="{damping}"/><limit"#));
+/// A robot on two legs, each with two links of `link` [m], whose joints have a torque limit of 1000 N·m and this damping [N·m·s/rad].
+fn biped(link: f64, damping: f64) -> Import {
+    let text = quadruped([-2.6, -0.6], false)
+        .replace("0 0 -0.2", &format!("0 0 {}", -link))
+        .replace("<limit", &format!(r#"<dynamics damping="{damping}"/><limit"#));
     // Without the rear legs.
     let import =
         read(&(text.split("<link name=\"rl_thigh\">").next().unwrap().to_owned() + "</robot>"), "urdf").unwrap();
@@ -360,10 +362,11 @@ fn biped(damping: f64) -> Import {
     import
 }
 
-/// `sandgait train` gives two legs a clock, a reward for steps in time, commands along one axis and speeds that servos reach, unless the options are given or the training goes on without
+/// `sandgait train` gives two legs commands along one axis, speeds that servos reach, and if they are short a clock and a reward for
+/// steps in time, unless the options are given or the training goes on without
 /// them; four legs get neither.
 #[test]
-fn bipeds_have_a_clock() {
+fn bipeds_have_options_that_suit_them() {
     let suited = |robot: &Import, given: Value, kept: Value| {
         let mut options = given;
         options["robot"] = json!(pack(robot));
@@ -372,7 +375,7 @@ fn bipeds_have_a_clock() {
             .map(|at| options.pointer(at).and_then(Value::as_f64));
         (clock, contact, share, said)
     };
-    let (two, four) = (biped(0.0), read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
+    let (two, tall, four) = (biped(0.1, 0.0), biped(0.2, 0.0), read(&quadruped([-2.6, -0.6], false), "urdf").unwrap());
     let strides = 0.33 * (9.81 / two.stance.leg_length).sqrt();
     let (clock, contact, share, said) = suited(&two, json!({}), Value::Null);
     assert!((clock.unwrap() / strides - 1.0).abs() < 0.03, "{clock:?}");
@@ -385,8 +388,12 @@ fn bipeds_have_a_clock() {
     let none = (None, None, None, String::new());
     assert_eq!(suited(&two, json!({}), json!({"ground": "rigid"})), none);
     assert_eq!(suited(&four, json!({}), Value::Null), none);
+    // Long legs take long strides.
+    assert!(
+        matches!(suited(&tall, json!({}), Value::Null), (None, None, Some(0.5), said) if said.contains("two legs"))
+    );
     // Servos that turn with at most 5 rad/s.
-    let slow = biped(200.0);
+    let slow = biped(0.2, 200.0);
     let slowed = suited(&slow, json!({}), Value::Null).3;
     assert!(!said.contains("max_velocity") && slowed.contains("max_velocity"), "{said}; {slowed}");
     let mut options = json!({"robot": pack(&slow)});
@@ -398,7 +405,7 @@ fn bipeds_have_a_clock() {
 /// A robot on two legs ends its episode when its base is low; on hard ground also when a trunk on top of it touches.
 #[test]
 fn bipeds_fall() {
-    let import = biped(0.0);
+    let import = biped(0.2, 0.0);
     for ground in ["rigid", "poppy-close"] {
         let options = json!({"robot": pack(&import), "ground": ground, "domain_rand": null});
         let blueprint = Blueprint::new(ID, options).unwrap();
