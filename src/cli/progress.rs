@@ -85,7 +85,7 @@ impl Progress for Bar {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if let Some(log) = &self.log {
             let line = log.lock().line(done, stage, Instant::now());
-            line.iter().for_each(|line| say::note(line));
+            line.iter().for_each(say::note);
             return Ok(());
         }
         self.bar.set_message(stage.to_owned());
