@@ -78,7 +78,7 @@ impl Listener {
                 Ok(address) => Ok(Address::Tcp(address)),
                 Err(e) => Err(Error::Exhausted(format!("the listening socket is unusable: {e}"))),
             },
-            Self::Unix(_, file) => Ok(Address::Unix(file.path().clone())),
+            Self::Unix(_, file) => Ok(Address::Unix(file.path.clone())),
         }
     }
 }

@@ -67,8 +67,7 @@ An episode terminates when the base has tilted by more than 60° (`bad_orientati
 `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
 On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position. `measure_heights` adds the base's height above 17 × 11
-points, minus 0.5 m, clipped to ± 1 m. Resistive force theory was measured for up to about 0.5 m/s in the sand; forces at higher speeds are
-extrapolated.";
+points, minus 0.5 m, clipped to ± 1 m. Forces of sand are extrapolated from about 0.5 m/s on.";
 
 pub struct LeggedVelocity {
     spec: Spec,

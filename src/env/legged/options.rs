@@ -55,8 +55,8 @@ options! {
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
         self_contact: bool = true, "legs do not pass through each other or the base: capsules in the box around each body's points of contact, without friction";
-        gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of a clock in the observation, its sine and cosine, which begins with the episode [Hz]; tracking terms then take the velocity's average over a stride; None: no clock";
-        measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
+        gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of a clock in the observation, sine and cosine, from the episode's start [Hz]; tracking terms then take a stride's mean velocity; None: no clock";
+        measure_heights: bool = false, "the observation has the ground's heights at legged_gym's 187 points";
     }
 }
 

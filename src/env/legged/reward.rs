@@ -119,7 +119,7 @@ reward_terms! {
         stand_still: 0.0, "Σ |joint angle − default|; 0 if the commanded speed is above 0", |s| {
             if s.commanded() == 0.0 { off_default(s) } else { 0.0 }
         };
-        contact: 0.0, "number of feet that bear load in the first 55 % of their stride by `gait_clock`, and none in the rest; neighbours are half a stride apart; 0 without a clock or command", |s| {
+        contact: 0.0, "number of feet that bear load just in their 55 % of the clock's stride; 0 without command", |s| {
             if s.legged.now == [0.0; 3] { 0.0 } else { in_time(s) }
         };
         termination: -100.0, "1 in the step that terminates the episode", |s| flag(s.terminated());

@@ -1,6 +1,6 @@
 //! Unix sockets, modes of files, and limits of processes.
 
-use super::BACKLOG;
+use super::{BACKLOG, SocketFile};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::fs::{self, DirBuilder, File, OpenOptions, Permissions};
 use std::io::{Error, ErrorKind, Result};
@@ -8,31 +8,14 @@ use std::os::unix::fs::{
     DirBuilderExt as _, FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _,
 };
 use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 pub use tokio::net::UnixListener;
 use tokio::net::{TcpStream, UnixSocket};
 
-/// The socket file that this process made. It is removed when this is dropped.
-pub struct SocketFile {
-    path: PathBuf,
-    inode: u64,
-}
-
-impl SocketFile {
-    pub fn path(&self) -> &PathBuf {
-        &self.path
-    }
-}
-
-impl Drop for SocketFile {
-    fn drop(&mut self) {
-        // Another server may have replaced the file by its own socket.
-        if fs::symlink_metadata(&self.path).is_ok_and(|m| m.ino() == self.inode) {
-            // If it cannot be removed, the next server finds it stale.
-            let _ = fs::remove_file(&self.path);
-        }
-    }
+/// Is this the file that had the number `inode`?
+pub fn is_file(path: &Path, inode: u64) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|m| m.ino() == inode)
 }
 
 /// A socket to which only its owner can connect. The mode is set between bind and listen, before anyone can connect.
