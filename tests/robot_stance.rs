@@ -400,6 +400,11 @@ fn bipeds_have_options_that_suit_them() {
     suit(&mut options, &Value::Null).unwrap();
     let most = 0.5 * 5.0 * slow.stance.leg_length / (1.5 * PI / 2.0);
     assert!((options["max_velocity"][0].as_f64().unwrap() / most - 1.0).abs() < 0.05, "{options} {most}");
+    // A joint that its friction holds.
+    let mut options = json!({"robot": pack(&biped(0.2, 1e6))});
+    suit(&mut options, &Value::Null).unwrap();
+    let least = sandgait::env::legged::prior::LEAST * 0.5 * (9.81 * slow.stance.leg_length).sqrt();
+    assert!((options["max_velocity"][0].as_f64().unwrap() / least - 1.0).abs() < 0.05, "{options} {least}");
 }
 
 /// A robot on two legs ends its episode when its base is low; on hard ground also when a trunk on top of it touches.

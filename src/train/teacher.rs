@@ -4,7 +4,7 @@
 
 use super::settings::Hyperparameters;
 use crate::env::legged::columns::CLOCK;
-use crate::env::legged::prior::GaitPrior;
+use crate::env::legged::prior::{GaitPrior, LEAST};
 use crate::env::legged::units::Units;
 use crate::env::legged::{LEGS, LeggedVelocity};
 use crate::env::registry::Blueprint;
@@ -67,8 +67,9 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
 /// the weight of the term for steps in time, the share of commands along one axis (where every command has a part forward, a biped does
 /// not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain gait, sets the
-/// clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on
-/// six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
+/// clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands along one axis,
+/// and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes standing the
+/// best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
 /// before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
@@ -138,7 +139,7 @@ fn ranges_are_given(options: &Value) -> bool {
 /// The greatest speeds of commands forward, to the left [m/s] and yaw [rad/s] for legs whose servos are slow; None: they are fast
 /// enough for the default ranges. In a walk with a foot on the ground for 0.6 of the stride the hip swings the leg ahead 1.5 times as
 /// fast as v/ℓ, and π/2 times that at the middle of a sinusoid; a motor with a falling line gives most power at half of the speed at
-/// which its torque is 0.
+/// which its torque is 0. As for a plain gait they are at least [`LEAST`] of the default ranges.
 fn speeds_of_servos(blueprint: &Blueprint) -> Option<[f64; 3]> {
     let model = blueprint.task.model();
     let tree = model.tree.as_ref()?;
@@ -152,7 +153,7 @@ fn speeds_of_servos(blueprint: &Blueprint) -> Option<[f64; 3]> {
     let most = 0.5 * slowest * tree.stance.leg_length / (1.5 * FRAC_PI_2);
     let usual = Units::of(model).commanded();
     let share = most / usual[0];
-    (share < 1.0).then(|| usual.map(|speed| two_digits(share * speed)))
+    (share < 1.0).then(|| usual.map(|speed| two_digits(share.max(LEAST) * speed)))
 }
 
 /// Sets an option, or one in a table, that is not given. A training that goes on keeps what it has. Is `own` the value now?

@@ -23,7 +23,7 @@ const SECONDS: f64 = 3.0;
 const BEGINNING: f64 = 1.0;
 /// A speed counts as at least this part of the speed that was asked: our choice. The plain gait may go badly where
 /// another one does not, and commands near zero teach nothing.
-const LEAST: f64 = 0.25;
+pub const LEAST: f64 = 0.25;
 /// A learnt gait is faster than the plain one by this factor: clocks that CMA-ES found walk 1.23 to 1.32 times as fast as the
 /// fastest tripod (docs/learning_results.md); our choice is a little less.
 const FASTER: f64 = 1.2;
