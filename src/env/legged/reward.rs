@@ -14,7 +14,7 @@ use crate::task::Transition;
 /// Default of `tracking_sigma`. Our choice, because legged_gym's 0.25 (where the ends are 1) is too wide: for a command of
 /// half the range's end, an error of a fifth of the command costs only 4 % of the term. With 0.25 ANYmal C walks a fifth
 /// too fast on packed seeds (mean error of nine commands 18 %). With 0.1 it walks as fast as commanded (6 %, after the same
-/// 12 million steps; docs/robots_results.md).
+/// 12 million steps).
 pub const TRACKING_SIGMA: f64 = 0.1;
 /// A step is rewarded if its foot was in the air for longer than this [√(ℓ/g)]: legged_gym's 0.5 s for ANYmal's legs of 0.5 m.
 const AIR: f64 = 2.2;
