@@ -80,19 +80,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let on_two = blueprint.task.model().tree.as_ref().is_some_and(|tree| tree.stance.legs.len() == 2);
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
     let Some(prior) = prior else {
-        let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
-        let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS)];
-        if strides * LONGEST_STRIDE > 1.0 {
-            own.extend([(&[CLOCK_RATE][..], strides), (&["rewards", CONTACT], CONTACT_WEIGHT)]);
-        }
-        let mut set = |(path, value): (&[&str], f64)| {
-            suggest(options, kept, path, json!(value)).then(|| format!("{} {value}", path.join(".")))
-        };
-        let mut two_legs: Vec<String> = own.into_iter().filter(|_| on_two).filter_map(&mut set).collect();
-        let slow = speeds_of_servos(&blueprint).filter(|_| on_two && !ranges_are_given(options));
-        if let Some(speeds) = slow.filter(|speeds| suggest(options, kept, &[SPEEDS], json!(speeds))) {
-            two_legs.push(format!("{SPEEDS} {speeds:?} by what the servos reach"));
-        }
+        let two_legs = if on_two { suit_two_legs(options, kept, &blueprint) } else { Vec::new() };
         return Ok(Suited { held, two_legs, ..Suited::default() });
     };
     if options[CLOCK_RATE].is_null() {
@@ -129,6 +117,22 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     };
     options["rewards"] = Value::Object(rewards);
     Ok(Suited { speeds, weaker, kept: kept_weights, held, two_legs: Vec::new() })
+}
+
+/// Sets options for a robot with two legs, see [`suit`]. Returns those whose values are its own.
+fn suit_two_legs(options: &mut Value, kept: &Value, blueprint: &Blueprint) -> Vec<String> {
+    let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS)];
+    let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
+    if strides * LONGEST_STRIDE > 1.0 {
+        own.extend([(&[CLOCK_RATE][..], strides), (&["rewards", CONTACT], CONTACT_WEIGHT)]);
+    }
+    own.retain(|(path, value)| suggest(options, kept, path, json!(value)));
+    let mut set: Vec<String> = own.iter().map(|(path, value)| format!("{} {value}", path.join("."))).collect();
+    let slow = speeds_of_servos(blueprint).filter(|_| !ranges_are_given(options));
+    if let Some(speeds) = slow.filter(|speeds| suggest(options, kept, &[SPEEDS], json!(speeds))) {
+        set.push(format!("{SPEEDS} {speeds:?} by what the servos reach"));
+    }
+    set
 }
 
 fn ranges_are_given(options: &Value) -> bool {

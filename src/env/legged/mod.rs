@@ -326,11 +326,10 @@ impl Task for LeggedVelocity {
         let too_low = is_too_low(t.model, t.after);
         let default = &self.angles;
         let tracked = legged.tracked([velocity[0], velocity[1], angular_velocity[2]], self.clock);
-        let phase = legged.phase(self.clock);
-        let of_foot = |second: &bool| if *second { (phase + 0.5).fract() } else { phase };
         let step = LeggedStep {
             t,
-            phases: (self.clock > 0.0).then(|| self.second.iter().map(of_foot).collect()),
+            phase: (self.clock > 0.0).then(|| legged.phase(self.clock)),
+            second: &self.second,
             tracked,
             legged,
             contacts,

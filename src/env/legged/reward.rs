@@ -65,8 +65,10 @@ pub struct LeggedStep<'a> {
     /// Default position of each joint [rad].
     pub default: &'a [f64],
     pub units: &'a Units,
-    /// Phase of the stride of each foot in [0, 1); None: there is no clock.
-    pub phases: Option<Vec<f64>>,
+    /// Phase of the clock in [0, 1); None: there is no clock.
+    pub phase: Option<f64>,
+    /// For each foot: does it step half a stride after the first one?
+    pub second: &'a [bool],
     /// σ of the tracking terms.
     pub sigma: f64,
     /// Gravity's direction after the step; this and the next two fields, velocity and angular velocity, are in the base's frame.
@@ -142,8 +144,9 @@ fn air_time(s: &LeggedStep) -> f64 {
 
 /// Number of feet that bear load when they should, and only then.
 fn in_time(s: &LeggedStep) -> f64 {
-    let Some(phases) = &s.phases else { return 0.0 };
-    s.contacts.feet.iter().zip(phases).filter(|(bears, phase)| **bears == (**phase < STANCE)).count() as f64
+    let Some(phase) = s.phase else { return 0.0 };
+    let bears_now = |second: bool| (if second { (phase + 0.5).fract() } else { phase }) < STANCE;
+    s.contacts.feet.iter().zip(s.second).filter(|(bears, second)| **bears == bears_now(**second)).count() as f64
 }
 
 fn off_default(s: &LeggedStep) -> f64 {

@@ -18,7 +18,7 @@ pub use self::unix::*;
 pub const BACKLOG: u32 = 1024;
 
 /// The socket file that this process made. It is removed when this is dropped.
-#[cfg_attr(not(unix), allow(dead_code))]
+#[cfg_attr(not(unix), allow(dead_code))] // other systems never make one
 pub struct SocketFile {
     pub path: PathBuf,
     inode: u64,

@@ -42,6 +42,17 @@ pub struct AlternatingGait {
     joints: usize,
 }
 
+/// Which of these feet step half a stride after the others: neighbours, in the order around their middle, alternate.
+pub(super) fn alternate(feet: &[V]) -> Vec<bool> {
+    let middle = feet.iter().sum::<V>() / feet.len().max(1) as f64;
+    let azimuth = |k: &usize| (feet[*k].y - middle.y).atan2(feet[*k].x - middle.x);
+    let mut around: Vec<usize> = (0..feet.len()).collect();
+    around.sort_by(|a, b| azimuth(a).total_cmp(&azimuth(b)));
+    let mut second = vec![false; feet.len()];
+    around.iter().skip(1).step_by(2).for_each(|k| second[*k] = true);
+    second
+}
+
 impl AlternatingGait {
     /// None: the robot has fewer than four legs, or an odd number.
     pub fn of(robot: &TreeModel) -> Option<Self> {
@@ -60,10 +71,8 @@ impl AlternatingGait {
         };
         let limbs = limbs(tree, &robot.contacts);
         let mut legs: Vec<SteppingLeg> = limbs.iter().filter(|l| stance.legs.contains(&l.path)).map(leg).collect();
-        let middle = legs.iter().map(|l| l.foot).sum::<V>() / legs.len() as f64;
-        let azimuth = |leg: &SteppingLeg| (leg.foot.y - middle.y).atan2(leg.foot.x - middle.x);
-        legs.sort_by(|a, b| azimuth(a).total_cmp(&azimuth(b)));
-        legs.iter_mut().enumerate().for_each(|(k, leg)| leg.second = k % 2 == 1);
+        let feet: Vec<V> = legs.iter().map(|leg| leg.foot).collect();
+        legs.iter_mut().zip(alternate(&feet)).for_each(|(leg, second)| leg.second = second);
         Some(Self { legs, joints: chain(tree, Isometry3::identity(), &stance.angles).len() - 1 })
     }
 

@@ -2,6 +2,7 @@
 //! searched: each leg stands under its hip, in the middle of the heights that it can use.
 
 use super::Tree;
+use super::alternating::alternate;
 use super::contact::ContactPoint;
 use super::free_joints::FreeJoints;
 use super::kinematics::{chain, lowest};
@@ -140,24 +141,17 @@ impl Stance {
         Self { angles, feet, legs, upper, height, hips, leg_length }
     }
 
-    /// For each foot: does its leg step half a stride after the first one? Neighbouring legs, in the order around their middle, alternate.
+    /// For each foot: does its leg step half a stride after the first one?
     pub fn second(&self, tree: &Tree) -> Vec<bool> {
         let frames = chain(tree, Isometry3::identity(), &self.angles);
         let ends: Vec<_> =
             self.legs.iter().filter_map(|leg| leg.last()).map(|end| frames[*end].translation.vector).collect();
-        let middle = ends.iter().sum::<V>() / ends.len().max(1) as f64;
-        let azimuth = |leg: &usize| (ends[*leg].y - middle.y).atan2(ends[*leg].x - middle.x);
-        let mut around: Vec<usize> = (0..ends.len()).collect();
-        around.sort_by(|a, b| azimuth(a).total_cmp(&azimuth(b)));
+        let of_legs = alternate(&ends);
         let above = |foot: usize| {
             std::iter::successors(Some(foot), |body| Some(tree.bodies[*body].parent)).take_while(|body| *body > 0)
         };
         let leg_of = |foot: &usize| above(*foot).find_map(|body| self.legs.iter().position(|leg| leg.contains(&body)));
-        let second = |foot: &usize| {
-            let place = leg_of(foot).and_then(|leg| around.iter().position(|other| *other == leg));
-            place.is_some_and(|place| place % 2 == 1)
-        };
-        self.feet.iter().map(second).collect()
+        self.feet.iter().map(|foot| leg_of(foot).is_some_and(|leg| of_legs[leg])).collect()
     }
 
     /// Height of the hips above the lowest point [m].
