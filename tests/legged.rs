@@ -191,6 +191,31 @@ fn feet_are_rewarded_for_bearing_in_time() {
     assert_eq!(shard.rows.infos[place], 0.0);
 }
 
+/// Steps of a turn on the spot are rewarded by a term of their own, all others by `feet_air_time`.
+#[test]
+fn steps_of_turns_have_a_term() {
+    let both = json!({"feet_air_time": 1.0, "turning_air_time": 1.0});
+    let options = json!({"rewards": both, "curriculum": null, "domain_rand": null, "ground": "rigid"});
+    let places = ["reward_feet_air_time", "reward_turning_air_time"].map(|c| column(&blueprint(options.clone()), c));
+    let mut shard = shard(options, 1);
+    let mut rewarded = |command: [f64; 3]| {
+        shard.reset(|_| true, Some(&[0]), |_| None);
+        shard.set_command(0, command);
+        let mut seen = [false; 2];
+        for k in 0..100 {
+            shard.step(&[(0.8 * f64::from(k).sin()) as f32; 12]);
+            for (seen, place) in seen.iter_mut().zip(places) {
+                *seen |= shard.rows.infos[place] != 0.0;
+            }
+        }
+        seen
+    };
+    assert_eq!(rewarded([0.3, 0.0, 0.0]), [true, false]);
+    assert_eq!(rewarded([0.3, 0.0, 0.5]), [true, false]);
+    assert_eq!(rewarded([0.0, 0.0, 0.5]), [false, true]);
+    assert_eq!(rewarded([0.0; 3]), [false; 2]);
+}
+
 #[test]
 fn broken_robots_and_options_are_refused_in_one_line() {
     let refused = |options: Value| {

@@ -178,7 +178,8 @@ fn belongs(file: &Tensors, plan: &TrainingPlan) -> std::result::Result<(), Strin
     };
     let there = Hyperparameters::from_entry(&table("settings")?).map_err(|e| e.to_string())?;
     let ends = |settings: Hyperparameters| {
-        Hyperparameters { n_timesteps: 1, seconds: None, env_kwargs: Map::new(), ..settings }.json()
+        Hyperparameters { n_timesteps: 1, seconds: None, biped_seconds: None, env_kwargs: Map::new(), ..settings }
+            .json()
     };
     let (there, here) = (ends(there), ends(plan.settings.clone()));
     differs(there.as_object(), here.as_object()).map_or(Ok(()), Err)?;

@@ -74,8 +74,11 @@ pub fn external(
     Hyperparameters::from_entry(&entry)
 }
 
-/// Replaces values of `entry`. In a dictionary only the given keys change.
+/// Replaces values of `entry`. In a dictionary only the given keys change. A time that is given holds for all robots.
 fn change(entry: &mut Map<String, Value>, changes: Vec<(String, Value)>) {
+    if changes.iter().any(|(name, _)| name == "seconds") {
+        entry.remove("biped_seconds");
+    }
     for (name, value) in changes {
         match (entry.get_mut(&name), value) {
             (Some(Value::Object(old)), Value::Object(new)) => old.extend(new),

@@ -99,10 +99,16 @@ impl TrainingRequest {
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
         let mut options = self.options()?;
         let suited = self.suit(&mut options)?;
-        let plan = self.plan(&options)?;
+        let plan = self.plan(&options, suited.on_two)?;
         let taught = plan.teacher.as_ref().map(|own| own.note(self.settings.gait_prior, &suited));
         suited.notes().iter().chain(&taught).for_each(|note| progress.note(note));
         plan.notes.iter().for_each(|note| progress.note(note));
+        if let Some(seconds) = self.settings.biped_seconds.filter(|_| suited.on_two) {
+            let minutes = seconds / 60.0;
+            progress.note(&format!(
+                "it learns for {minutes:.0} min, because the robot has two legs (--seconds sets another time)"
+            ));
+        }
         let lock = self.out.is_dir().then(|| self.lock()).transpose()?;
         let checkpoint::Checkpoint { learnt, open, mut notices } = self.begin(&plan)?;
         let mut remote = match &self.connect {
@@ -163,8 +169,12 @@ impl TrainingRequest {
         Ok(TrainingOutcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
     }
 
-    fn plan(&self, options: &Value) -> Result<TrainingPlan> {
-        let settings = self.settings.clone();
+    /// `on_two`: has the robot two legs?
+    fn plan(&self, options: &Value, on_two: bool) -> Result<TrainingPlan> {
+        let mut settings = self.settings.clone();
+        if on_two {
+            settings.seconds = settings.biped_seconds.or(settings.seconds);
+        }
         match &self.external {
             Some(_) if !settings.env_kwargs.is_empty() => {
                 Err(Error::invalid("env_kwargs", "the environments are made already"))

@@ -32,6 +32,8 @@ pub struct Hyperparameters {
     /// The training ends after this many environment steps, or after this many seconds, whichever comes first.
     pub n_timesteps: u64,
     pub seconds: Option<f64>,
+    /// The time [s] in place of `seconds` for a robot of LeggedVelocity with two legs, where `seconds` is not given.
+    pub biped_seconds: Option<f64>,
     /// Normalize observations and rewards by running statistics.
     pub normalize: bool,
     /// Is the policy made symmetric in left and right? None (`auto`): yes, if the robot is symmetric.
@@ -65,10 +67,11 @@ pub struct Hyperparameters {
 }
 
 /// Names in files; `policy` exists for stable-baselines3 and is always MlpPolicy.
-const NAMES: [&str; 23] = [
+const NAMES: [&str; 24] = [
     "n_envs",
     "n_timesteps",
     "seconds",
+    "biped_seconds",
     "normalize",
     "mirror",
     "policy",
@@ -106,6 +109,7 @@ impl Default for Hyperparameters {
             n_envs: 1,
             n_timesteps: 1_000_000,
             seconds: None,
+            biped_seconds: None,
             normalize: false,
             mirror: Some(false),
             learning_rate: Schedule::constant(3e-4),
@@ -142,10 +146,12 @@ impl Hyperparameters {
     }
 
     fn set(&mut self, name: &str, value: &Value) -> Result<()> {
+        let time = |value: &Value| number(name, value, *SECONDS.start(), *SECONDS.end());
         match name {
             "n_envs" => self.n_envs = whole(name, value, 1.0, MOST_ENVS)? as usize,
             "n_timesteps" => self.n_timesteps = whole(name, value, 1.0, 1e12)? as u64,
-            "seconds" => self.seconds = optional(value, |v| number(name, v, *SECONDS.start(), *SECONDS.end()))?,
+            "seconds" => self.seconds = optional(value, time)?,
+            "biped_seconds" => self.biped_seconds = optional(value, time)?,
             "normalize" => self.normalize = flag(name, value)?,
             "mirror" => self.mirror = if value == "auto" { None } else { Some(flag(name, value)?) },
             "policy" if value == "MlpPolicy" => (),
@@ -219,6 +225,7 @@ impl Hyperparameters {
             "n_envs": self.n_envs,
             "n_timesteps": self.n_timesteps,
             "seconds": self.seconds,
+            "biped_seconds": self.biped_seconds,
             "normalize": self.normalize,
             "mirror": self.mirror.map_or_else(|| json!("auto"), Value::Bool),
             "policy": "MlpPolicy",

@@ -44,6 +44,9 @@ const LONGEST_STRIDE: f64 = 0.58;
 /// biped with large soles that stands well did not begin to walk without it (docs/robots_results.md).
 const CONTACT: &str = "contact";
 const CONTACT_WEIGHT: f64 = 0.18;
+/// The reward term for long steps in a turn on the spot, whose weight for two legs is that of [`AIR_TIME`]. Without it G1 hardly turned
+/// (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too.
+const TURNING: &str = "turning_air_time";
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their
 /// weight.
@@ -65,7 +68,7 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 }
 
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
-/// the weight of the term for steps in time, the share of commands along one axis (where every command has a part forward, a biped does
+/// the weights of the terms for steps in time and in turns, the share of commands along one axis (where every command has a part forward, a biped does
 /// not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain gait, sets the
 /// clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands along one axis,
 /// and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes standing the
@@ -81,7 +84,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let old = |name: &str| Some(kept[name].clone()).filter(|value| !value.is_null());
     let Some(prior) = prior else {
         let two_legs = if on_two { suit_two_legs(options, kept, &blueprint) } else { Vec::new() };
-        return Ok(Suited { held, two_legs, ..Suited::default() });
+        return Ok(Suited { held, on_two, two_legs, ..Suited::default() });
     };
     if options[CLOCK_RATE].is_null() {
         options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
@@ -116,12 +119,14 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         }
     };
     options["rewards"] = Value::Object(rewards);
-    Ok(Suited { speeds, weaker, kept: kept_weights, held, two_legs: Vec::new() })
+    Ok(Suited { speeds, weaker, kept: kept_weights, held, ..Suited::default() })
 }
 
 /// Sets options for a robot with two legs, see [`suit`]. Returns those whose values are its own.
 fn suit_two_legs(options: &mut Value, kept: &Value, blueprint: &Blueprint) -> Vec<String> {
-    let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS)];
+    let air_time =
+        blueprint.task.spec().reward.iter().find(|term| term.name == AIR_TIME).map_or(0.0, |term| term.weight);
+    let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS), (&["rewards", TURNING], air_time)];
     let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
     if strides * LONGEST_STRIDE > 1.0 {
         own.extend([(&[CLOCK_RATE][..], strides), (&["rewards", CONTACT], CONTACT_WEIGHT)]);
@@ -197,6 +202,7 @@ pub struct Suited {
     kept: Vec<String>,
     /// Number of joints that are in no leg and hold their default position.
     held: usize,
+    pub on_two: bool,
     /// Options that were set because the robot has two legs.
     two_legs: Vec<String>,
 }

@@ -55,7 +55,7 @@ options! {
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
         self_contact: bool = true, "legs do not pass through each other or the base: capsules in the box around each body's points of contact, without friction";
-        gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of a clock in the observation, sine and cosine, from the episode's start [Hz]; tracking terms then take a stride's mean velocity; None: no clock";
+        gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of an observed clock (sine, cosine) from the episode's start [Hz]; tracking terms then take a stride's mean velocity";
         measure_heights: bool = false, "the observation has the ground's heights at legged_gym's 187 points";
     }
 }

@@ -116,6 +116,9 @@ reward_terms! {
         feet_air_time: 0.23, "Σ (time in the air / √(ℓ/g) − 2.2) over the feet that touch down; 0 if the commanded speed is 0", |s| {
             if s.commanded() > 0.0 { air_time(s) } else { 0.0 }
         };
+        turning_air_time: 0.0, "feet_air_time in turns on the spot", |s| {
+            if s.commanded() == 0.0 && s.legged.now[2] != 0.0 { air_time(s) } else { 0.0 }
+        };
         collision: -1.0, "number of bodies in the ground, except base and feet", |s| s.contacts.others as f64;
         dof_pos_limits: -10.0, "Σ distance of joints beyond the middle 90 % of their range [rad]", |s| beyond_limits(s.t.model, s.t.after);
         stand_still: 0.0, "Σ |joint angle − default|; 0 if the commanded speed is above 0", |s| {

@@ -30,11 +30,11 @@ impl FreeJoints {
         for (i, joint) in tree.joints().enumerate() {
             // Joint i moves body i + 1.
             let upright = tree.bodies[i + 1].turns_about_vertical(&frames[i + 1]);
-            let [low, high] = all.ranges[i];
+            // The joint's own range, of which the search may leave out the ends.
+            let Some([low, high]) = joint.range.filter(|_| upright) else { continue };
             let from_ends = (all.preferred[i] - low).min(high - all.preferred[i]);
-            let one_sided = joint.range.is_some() && from_ends < AT_END * (high - low);
-            if one_sided && upright {
-                all.preferred[i] = (low + high) / 2.0;
+            if from_ends < AT_END * (high - low) {
+                all.preferred[i] = ((low + high) / 2.0).clamp(all.ranges[i][0], all.ranges[i][1]);
             }
         }
         for f in tree.followers() {
