@@ -44,8 +44,8 @@ const LONGEST_STRIDE: f64 = 0.58;
 /// biped with large soles that stands well did not begin to walk without it (docs/robots_results.md).
 const CONTACT: &str = "contact";
 const CONTACT_WEIGHT: f64 = 0.18;
-/// The reward term for long steps in a turn on the spot, whose weight for two legs is that of [`AIR_TIME`]. Without it G1 hardly turned
-/// (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too.
+/// The reward term for long steps in a turn on the spot, whose weight for two long legs is that of [`AIR_TIME`]. Without it G1 hardly
+/// turned (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too. Short legs have [`CONTACT`], which also counts in turns.
 const TURNING: &str = "turning_air_time";
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their
@@ -124,12 +124,13 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
 
 /// Sets options for a robot with two legs, see [`suit`]. Returns those whose values are its own.
 fn suit_two_legs(options: &mut Value, kept: &Value, blueprint: &Blueprint) -> Vec<String> {
-    let air_time =
-        blueprint.task.spec().reward.iter().find(|term| term.name == AIR_TIME).map_or(0.0, |term| term.weight);
-    let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS), (&["rewards", TURNING], air_time)];
     let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
+    let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS)];
     if strides * LONGEST_STRIDE > 1.0 {
         own.extend([(&[CLOCK_RATE][..], strides), (&["rewards", CONTACT], CONTACT_WEIGHT)]);
+    } else {
+        let air_time = blueprint.task.spec().reward.iter().find(|term| term.name == AIR_TIME);
+        own.extend(air_time.map(|term| (&["rewards", TURNING][..], term.weight)));
     }
     own.retain(|(path, value)| suggest(options, kept, path, json!(value)));
     let mut set: Vec<String> = own.iter().map(|(path, value)| format!("{} {value}", path.join("."))).collect();
