@@ -44,8 +44,8 @@ fn bipeds_have_options_that_suit_them() {
     assert!((clock.unwrap() / strides - 1.0).abs() < 0.03, "{clock:?}");
     assert_eq!((steps, share), ([Some(0.18), None], Some(0.5)));
     assert!(["two legs", "gait_clock", "contact", "single_axis"].iter().all(|word| said.contains(word)), "{said}");
-    let own = json!({"gait_clock": 2.0, "rewards": {"contact": 0.1, "turning_air_time": 0.2}, "commands": {"single_axis": 0.25}});
-    let given = (Some(2.0), [Some(0.1), Some(0.2)], Some(0.25), String::new());
+    let own = json!({"gait_clock": 2.0, "rewards": {"contact": 0.1}, "commands": {"single_axis": 0.25}});
+    let given = (Some(2.0), [Some(0.1), None], Some(0.25), String::new());
     assert_eq!(suited(&two, own.clone(), Value::Null), given);
     assert_eq!(suited(&two, json!({}), own), given);
     let none = (None, [None; 2], None, String::new());

@@ -13,10 +13,11 @@ use serde::Serialize;
 /// A quantity counts if its logarithm varies by at least this standard deviation over the data: our choice, a factor of 1.2 in either
 /// direction; a power of a quantity that hardly varies has no effect.
 const VARIES: f64 = 0.2;
-/// A form is rejected without left-out conditions, too, if the power is farther from 0 than this many halves of its 95 % interval, 3.5
-/// standard errors: our choice. Of six powers, as many as a pair has, one is so far by chance in 0.3 % of data. Few conditions hardly tell
-/// two models apart where their samples do.
-const CLEAR: f64 = 1.75;
+/// A form is rejected without left-out conditions, too, if 0 is farther from a power of the depth than this many halves of its 95 %
+/// interval, 3 standard errors: our choice, as for a law beside a cause. They are those of the model's own errors where these are larger
+/// than the noise. Few conditions hardly tell two models apart where their samples do. What grows otherwise with the depth is a layer, a
+/// crust or a bottom, which no cause is. What grows with the speed may be a second cause, and in grains it grows a little in all of them.
+const CLEAR: f64 = 1.5;
 /// Least depth [m] and share of the greatest speed whose logarithm is used: our choices; the effects are negligible there.
 const SHALLOW: f64 = 2e-3;
 const SLOW: f64 = 0.02;
@@ -31,7 +32,7 @@ pub struct FreePower {
     pub power: f64,
     pub ci95: [f64; 2],
     /// Does the interval exclude 0, and does a model with this power predict left-out conditions better beyond twice the standard error, or
-    /// is 0 farther away than 1.75 halves of it?
+    /// is 0, for a power of the depth, farther away than 1.5 halves of it, after the interval was widened to the model's errors?
     pub rejected: bool,
 }
 
@@ -43,6 +44,9 @@ impl FreePower {
         self.rejected.then(|| format!("the effect grows {way} with {by} than in {id} (power {power:+.2})"))
     }
 }
+
+/// The name of the quantity and of the feature.
+const DEPTH: &str = "depth";
 
 /// The logarithm of each quantity at each sample of each unit, less its mean; only of those that vary.
 fn quantities(study: &FitInputs) -> Vec<(&'static str, Vec<Vec<f64>>)> {
@@ -57,7 +61,7 @@ fn quantities(study: &FitInputs) -> Vec<(&'static str, Vec<Vec<f64>>)> {
         let most = speeds.iter().flatten().copied().fold(0.0, f64::max);
         all.push(("speed", floored(speeds, (SLOW * most).max(1e-9))));
     }
-    all.extend(feature("depth").map(|depths| ("depth", floored(depths, SHALLOW))));
+    all.extend(feature(DEPTH).map(|depths| (DEPTH, floored(depths, SHALLOW))));
     let sizes = study.model.sizes();
     if !sizes.is_empty() {
         let each = study.observations.units.iter().zip(sizes).map(|(u, size)| vec![size.ln(); u.samples]);
@@ -94,6 +98,7 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
     let table = EvidenceTable::new(&now, now.whitener, &models);
     let normal = now.normal_equations(model.fit);
     let reach = student::two_sided_95(degrees.max(2.0));
+    let clear = CLEAR * table.lack(0).max(1.0).sqrt();
     let tested = |(k, (id, by)): (usize, &(usize, &'static str))| {
         let column: Vec<f64> = columns[k].iter().copied().map(f64::from).collect();
         let [score, left] = normal.beside(&now.whitener.apply(&column), &model.fit.white)?;
@@ -103,7 +108,8 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
             by: (*by).into(),
             power,
             ci95: [power - reach * sd, power + reach * sd],
-            rejected: power.abs() > reach * sd * if table.beats(k + 1, 0) { 1.0 } else { CLEAR },
+            rejected: power.abs() > reach * sd && table.beats(k + 1, 0)
+                || *by == DEPTH && power.abs() > clear * reach * sd,
         })
     };
     of.iter().enumerate().filter_map(tested).collect()
