@@ -68,12 +68,11 @@ pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
 }
 
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
-/// the weights of the terms for steps in time and in turns, the share of commands along one axis (where every command has a part forward, a biped does
-/// not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain gait, sets the
-/// clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands along one axis,
-/// and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes standing the
-/// best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come
-/// before the gait's.
+/// the weights of the terms for steps in time and in turns, the share of commands along one axis (where every command has a part forward,
+/// a biped does not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain
+/// gait, sets the clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands
+/// along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes
+/// standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let blueprint = Blueprint::new(LeggedVelocity::ID, options.clone())?;
@@ -203,6 +202,7 @@ pub struct Suited {
     kept: Vec<String>,
     /// Number of joints that are in no leg and hold their default position.
     held: usize,
+    /// Has the robot two legs?
     pub on_two: bool,
     /// Options that were set because the robot has two legs.
     two_legs: Vec<String>,

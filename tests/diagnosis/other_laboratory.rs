@@ -24,6 +24,15 @@ fn a_force_that_depends_on_the_path_has_no_name() {
     assert!(r.withheld.iter().flat_map(|w| &w.why).any(|why| why.contains("a law beside it")), "{}", r.summary);
 }
 
+/// Sand that is firmer from 3 cm on was once named as another power of the depth, which is 4 standard errors from its form.
+#[test]
+fn a_layer_is_no_power_of_the_depth() {
+    let r = elsewhere("layer");
+    assert!(r.causes.is_empty() && r.verdict != Verdict::Named, "{}", r.summary);
+    let why = r.withheld.iter().filter(|w| w.ids.iter().any(|id| id == "depth_power")).flat_map(|w| &w.why);
+    assert!(why.clone().any(|why| why.contains("faster with depth than in depth_power")), "{}", r.summary);
+}
+
 /// A plate slows down within four samples at the end of its trials, where a negative delay looks beyond later samples.
 #[test]
 fn a_plate_that_stops_has_no_delay() {
