@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -142,7 +141,6 @@ def distance(case: Case, dt: float, folder: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    warnings.simplefilter("ignore")
     steps = " | ".join(f"{1e3 * dt:g} ms" for dt in STEPS)
     print(f"| foot | law | ground | way [mm] | {steps} |\n|{'---|' * (4 + len(STEPS))}")
     with tempfile.TemporaryDirectory() as folder:

@@ -1,13 +1,18 @@
 //! Robots on two legs from files: what a training sets for them, and when they fall.
 
+#[path = "testbed/legged_training.rs"]
+mod legged_training;
 #[path = "testbed/made_robots.rs"]
 mod made_robots;
+#[path = "testbed/packing.rs"]
+mod packing;
 
-use made_robots::{pack, quadruped, read, shard_of};
+use made_robots::{quadruped, read, shard_of};
+use packing::pack;
 use sandgait::env::registry::Blueprint;
 use sandgait::robots::Import;
+use sandgait::train::entry;
 use sandgait::train::teacher::suit;
-use sandgait::train::{TrainingRequest, entry};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
@@ -25,9 +30,8 @@ fn biped(link: f64, damping: f64) -> Import {
     import
 }
 
-/// `sandgait train` gives two legs commands along one axis, speeds that servos reach, and if they are short a clock and a reward for
-/// steps in time, unless the options are given or the training goes on without
-/// them; four legs get neither.
+/// `sandgait train` gives two legs commands along one axis, speeds that servos reach, if they are short a clock and a reward for steps in
+/// time, and if they are long one for steps in turns, unless the options are given or the training goes on without them; four legs get none.
 #[test]
 fn bipeds_have_options_that_suit_them() {
     let suited = |robot: &Import, given: Value, kept: Value| {
@@ -89,30 +93,19 @@ fn bipeds_fall() {
 /// They learn for longer, unless the time is given.
 #[test]
 fn bipeds_learn_for_a_time_of_their_own() {
-    let setting = |text: &str| entry::pair("--set", text).unwrap();
-    let trained = |robot: &Import, changes: &[&str]| {
-        let small = ["n_envs=8", "n_steps=16", "batch_size=64", "n_timesteps=1e9", "biped_seconds=0.3"];
+    let trained = |robot: &Import, ends: &[&str]| {
+        let small = ["n_envs=8", "n_steps=16", "batch_size=64", "n_timesteps=1e9"];
+        let changes = small.iter().chain(ends).map(|text| entry::pair("--set", text).unwrap()).collect();
         let folder = tempfile::tempdir().unwrap();
-        let request = TrainingRequest {
-            task: ID.into(),
-            options: json!({"robot": pack(robot), "ground": "rigid"}),
-            external: None,
-            settings: entry::settings(None, ID, small.iter().chain(changes).map(|text| setting(text)).collect())
-                .unwrap(),
-            seed: 0,
-            threads: 1,
-            out: folder.path().join("run"),
-            resume: false,
-            start_from: None,
-            checkpoint_every: 1_000_000,
-            connect: None,
-        };
+        let options = json!({"robot": pack(robot), "ground": "rigid"});
+        let request = legged_training::request(options, &folder.path().join("run"), changes);
         request.run(&sandgait::progress::Silent).unwrap().learnt.seconds
     };
+    // The other time would not end.
     let two = biped(0.2, 0.0);
-    assert!((0.3..5.0).contains(&trained(&two, &[])));
+    assert!((0.3..5.0).contains(&trained(&two, &["biped_seconds=0.3"])));
     let four = read(&quadruped([-2.6, -0.6], false), "urdf").unwrap();
-    assert!((0.05..5.0).contains(&trained(&four, &["seconds=0.05"])));
+    assert!((0.05..5.0).contains(&trained(&four, &["seconds=0.05", "biped_seconds=1e6"])));
     let own = entry::settings(None, ID, Vec::new()).unwrap();
     assert_eq!((own.seconds, own.biped_seconds), (Some(900.0), Some(1200.0)));
     for ends in [entry::ends(None, Some(60.0)), entry::ends(Some(100), None)] {

@@ -1,13 +1,19 @@
 //! Robots with six legs from files: their plain gait, the commands that suit them, and what a training starts from.
 
+#[path = "testbed/legged_training.rs"]
+mod legged_training;
+#[path = "testbed/packing.rs"]
+mod packing;
+
+use packing::pack;
 use sandgait::env::legged::Units;
 use sandgait::env::legged::prior::GaitPrior;
 use sandgait::env::registry::Blueprint;
 use sandgait::robots::{self, Import, InertiaSource, Reading};
+use sandgait::sim::tree::TreeModel;
 use sandgait::sim::tree::alternating::{AlternatingGait, LegStride};
 use sandgait::sim::tree::kinematics::chain;
 use sandgait::sim::tree::symmetry::{Sides, Symmetry};
-use sandgait::sim::tree::{TreeModel, packed, plates::of_touching};
 use sandgait::train::teacher::Teacher;
 use sandgait::train::{Hyperparameters, Mirror, TrainingRequest, entry};
 use serde_json::{Value, json};
@@ -95,10 +101,7 @@ fn model(text: &str) -> TreeModel {
 /// LeggedVelocity on packed seeds with this robot.
 fn options(text: &str) -> Value {
     let import = read(text);
-    let plates = of_touching(&import.tree, &import.touching(None).unwrap(), Some(0.02)).unwrap();
-    let count = plates.iter().map(Vec::len).sum();
-    let robot = packed::compressed(&packed::pack(&import.tree, &plates, None).unwrap(), count).unwrap();
-    json!({"robot": robot, "ground": "poppy-close"})
+    json!({"robot": pack(&import), "ground": "poppy-close"})
 }
 
 /// In the middle of a swing three feet are up, and no two of them are neighbours.
@@ -244,19 +247,7 @@ fn moments_above_the_sum_of_the_others_are_replaced() {
 fn request(options: Value, out: &std::path::Path, changes: &[&str], timesteps: u64) -> TrainingRequest {
     let mut all: Vec<_> = changes.iter().map(|c| entry::pair("--set", c).unwrap()).collect();
     all.extend(entry::ends(Some(timesteps), None).unwrap());
-    TrainingRequest {
-        task: ID.into(),
-        options,
-        external: None,
-        settings: entry::settings(None, ID, all).unwrap(),
-        seed: 3,
-        threads: 1,
-        out: out.to_owned(),
-        resume: false,
-        start_from: None,
-        checkpoint_every: 1_000_000,
-        connect: None,
-    }
+    legged_training::request(options, out, all)
 }
 
 /// The plain command sets clock and commands of a hexapod, the policy comes near to the gait while it imitates it, and

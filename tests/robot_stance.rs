@@ -3,8 +3,11 @@
 
 #[path = "testbed/made_robots.rs"]
 mod made_robots;
+#[path = "testbed/packing.rs"]
+mod packing;
 
-use made_robots::{BASE, INERTIAL, ball, joint, pack, quadruped, read, shard_of};
+use made_robots::{BASE, INERTIAL, ball, joint, quadruped, read, shard_of};
+use packing::pack;
 use sandgait::env::ResetOptions;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;

@@ -102,14 +102,13 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
     let tested = |(k, (id, by)): (usize, &(usize, &'static str))| {
         let column: Vec<f64> = columns[k].iter().copied().map(f64::from).collect();
         let [score, left] = normal.beside(&now.whitener.apply(&column), &model.fit.white)?;
-        let (power, sd) = (score / left.max(1e-300), left.max(1e-300).sqrt().recip());
+        let (power, half) = (score / left.max(1e-300), reach * left.max(1e-300).sqrt().recip());
         Some(FreePower {
             id: CATALOG[*id].id.into(),
             by: (*by).into(),
             power,
-            ci95: [power - reach * sd, power + reach * sd],
-            rejected: power.abs() > reach * sd && table.beats(k + 1, 0)
-                || *by == DEPTH && power.abs() > clear * reach * sd,
+            ci95: [power - half, power + half],
+            rejected: power.abs() > half && table.beats(k + 1, 0) || *by == DEPTH && power.abs() > clear * half,
         })
     };
     of.iter().enumerate().filter_map(tested).collect()

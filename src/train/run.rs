@@ -99,11 +99,12 @@ impl TrainingRequest {
     pub fn run(&self, progress: &dyn Progress) -> Result<TrainingOutcome> {
         let mut options = self.options()?;
         let suited = self.suit(&mut options)?;
-        let plan = self.plan(&options, suited.on_two)?;
+        let own_time = self.settings.biped_seconds.filter(|_| suited.on_two);
+        let plan = self.plan(&options, own_time)?;
         let taught = plan.teacher.as_ref().map(|own| own.note(self.settings.gait_prior, &suited));
         suited.notes().iter().chain(&taught).for_each(|note| progress.note(note));
         plan.notes.iter().for_each(|note| progress.note(note));
-        if let Some(seconds) = self.settings.biped_seconds.filter(|_| suited.on_two) {
+        if let Some(seconds) = own_time {
             let minutes = seconds / 60.0;
             progress.note(&format!(
                 "it learns for {minutes:.0} min, because the robot has two legs (--seconds sets another time)"
@@ -169,12 +170,9 @@ impl TrainingRequest {
         Ok(TrainingOutcome { learnt, last: diary.last, curve: diary.curve.points, notices, score })
     }
 
-    /// `on_two`: has the robot two legs?
-    fn plan(&self, options: &Value, on_two: bool) -> Result<TrainingPlan> {
-        let mut settings = self.settings.clone();
-        if on_two {
-            settings.seconds = settings.biped_seconds.or(settings.seconds);
-        }
+    /// `own_time`: a time that suits the robot, in place of that of the settings [s].
+    fn plan(&self, options: &Value, own_time: Option<f64>) -> Result<TrainingPlan> {
+        let settings = Hyperparameters { seconds: own_time.or(self.settings.seconds), ..self.settings.clone() };
         match &self.external {
             Some(_) if !settings.env_kwargs.is_empty() => {
                 Err(Error::invalid("env_kwargs", "the environments are made already"))

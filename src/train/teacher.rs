@@ -44,8 +44,9 @@ const LONGEST_STRIDE: f64 = 0.58;
 /// biped with large soles that stands well did not begin to walk without it (docs/robots_results.md).
 const CONTACT: &str = "contact";
 const CONTACT_WEIGHT: f64 = 0.18;
-/// The reward term for long steps in a turn on the spot, whose weight for two long legs is that of [`AIR_TIME`]. With it G1's
-/// curriculum rises sooner, and it turned in one of two runs (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too. Short legs have [`CONTACT`], which also counts in turns.
+/// The reward term for long steps in a turn on the spot, whose weight for two long legs is that of [`AIR_TIME`]. With it the
+/// curriculum of G1 rises sooner, and it turned in one of two runs (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too.
+/// Short legs have [`CONTACT`], which also counts in turns.
 const TURNING: &str = "turning_air_time";
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import pytest
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 
 from engines_study import Case, distance
@@ -22,7 +20,6 @@ CASES = [
 ]
 
 
-@pytest.mark.filterwarnings("ignore")
 def test_paths_in_two_engines_come_together(tmp_path: Path) -> None:
     """Errors are of first order or, where feet stick and slip, of a lower one: a quarter of the step leaves less than
     half of the distance in the sum, and in no case more than 6 % of the way."""

@@ -3,7 +3,6 @@
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
 use sandgait::robots::{self, Import};
-use sandgait::sim::tree::{packed, plates::of_touching};
 use std::fmt::Write as _;
 
 /// Reads a description from a text.
@@ -12,12 +11,6 @@ pub fn read(text: &str, ending: &str) -> Result<Import, String> {
     let path = folder.path().join(format!("robot.{ending}"));
     std::fs::write(&path, text).unwrap();
     robots::load(&path).map_err(|e| e.to_string())
-}
-
-pub fn pack(import: &Import) -> String {
-    let plates = of_touching(&import.tree, &import.touching(None).unwrap(), Some(0.02)).unwrap();
-    let count = plates.iter().map(Vec::len).sum();
-    packed::compressed(&packed::pack(&import.tree, &plates, None).unwrap(), count).unwrap()
 }
 
 pub const INERTIAL: &str =
