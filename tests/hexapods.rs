@@ -11,8 +11,8 @@ use sandgait::env::legged::prior::GaitPrior;
 use sandgait::env::registry::Blueprint;
 use sandgait::robots::{self, Import, InertiaSource, Reading};
 use sandgait::sim::tree::TreeModel;
-use sandgait::sim::tree::alternating::{AlternatingGait, LegStride};
 use sandgait::sim::tree::kinematics::chain;
+use sandgait::sim::tree::plain_gait::{LegStride, PlainGait, StepOrder};
 use sandgait::sim::tree::symmetry::{Sides, Symmetry};
 use sandgait::train::teacher::Teacher;
 use sandgait::train::{Hyperparameters, Mirror, TrainingRequest, entry};
@@ -113,9 +113,10 @@ fn six_legs_step_as_a_tripod() {
         let robot = model(&text);
         assert_eq!(robot.stance.legs.len(), 6);
         assert!(robot.stance.angles.iter().all(|q| q.abs() < 1.4), "a joint stands at its stop");
-        let gait = AlternatingGait::of(&robot).unwrap();
+        let gait = PlainGait::of(&robot).unwrap();
         let mut offsets = vec![0.0; robot.joints()];
-        gait.offsets(LegStride { frequency: 2.0, lift: 0.03 }, [0.0; 3], 0.25, &mut offsets);
+        let tripod = LegStride { order: StepOrder::Alternating, duty_factor: 0.5, frequency: 2.0, lift: 0.03 };
+        gait.offsets(tripod, [0.0; 3], 0.25, &mut offsets);
         let angles: Vec<f64> = robot.stance.angles.iter().zip(&offsets).map(|(q, off)| q + off).collect();
         let base = nalgebra::Isometry3::identity();
         let [still, moved] = [&robot.stance.angles, &angles].map(|q| chain(&robot.tree, base, q));
@@ -136,6 +137,48 @@ fn six_legs_step_as_a_tripod() {
         assert_eq!(feet.iter().filter(|f| f.1).count(), 3, "{feet:?}");
         assert!((0..6).all(|k| feet[k].1 != feet[(k + 1) % 6].1), "{feet:?}");
     }
+}
+
+/// In a ripple two of six feet are up, each for a third of the stride, and a leg steps half a stride after its mirror image, so that
+/// a mirrored policy can walk so.
+#[test]
+fn six_legs_step_in_a_wave() {
+    let robot = model(&hexapod(&BESIDE, true, 6.0, 1.0));
+    let gait = PlainGait::of(&robot).unwrap();
+    assert!(gait.has_wave());
+    let ripple = LegStride { order: StepOrder::Wave, duty_factor: 2.0 / 3.0, frequency: 1.0, lift: 0.03 };
+    let lifted = |phase: f64| -> Vec<bool> {
+        let (mut still, mut moved) = (vec![0.0; robot.joints()], vec![0.0; robot.joints()]);
+        gait.offsets(LegStride { lift: 0.0, ..ripple }, [0.0; 3], phase, &mut still);
+        gait.offsets(ripple, [0.0; 3], phase, &mut moved);
+        still.chunks(3).zip(moved.chunks(3)).map(|(still, moved)| still != moved).collect()
+    };
+    let sides = Symmetry::of(&robot).unwrap();
+    for k in 0..12 {
+        let phase = (f64::from(k) + 0.5) / 12.0;
+        let (now, later) = (lifted(phase), lifted(phase + 0.5));
+        assert_eq!(now.iter().filter(|up| **up).count(), 2, "{phase}: {now:?}");
+        assert!((0..6).all(|leg| now[leg] == later[sides.joints[3 * leg] / 3]), "{phase}: {now:?} {later:?}");
+    }
+    // A leg in front is at no side, and along y a wave from back to front would not be mirrored.
+    assert!(!PlainGait::of(&model(&hexapod(&around(), true, 6.0, 1.0))).unwrap().has_wave());
+}
+
+/// Thin legs sink in deeply where three of them carry the robot, so more of them stand; broad feet walk as a tripod.
+#[test]
+fn thin_legs_walk_in_a_wave() {
+    let walks = |foot: &str, rod: &str| {
+        let text = hexapod(&BESIDE, true, 7.0, 1.0).replace("radius=\"0.012\"", foot).replace("radius=\"0.01\"", rod);
+        let mut options = options(&text);
+        options["ground"] = "poppy-close".into();
+        let blueprint = Blueprint::new(ID, options).unwrap();
+        GaitPrior::of(blueprint.task.model(), None, false, None).unwrap().unwrap()
+    };
+    let (broad, thin) =
+        (walks("radius=\"0.02\"", "radius=\"0.01\""), walks("radius=\"0.004\"", "radius=\"0.003\""));
+    assert_eq!((broad.stride.order, broad.stride.name()), (StepOrder::Alternating, "alternating gait"));
+    assert_eq!(thin.stride.order, StepOrder::Wave, "{thin:?}");
+    assert!(broad.is_better_than(&thin));
 }
 
 /// Robots with fewer legs have no such start, and on sand slow servos ask for slow commands.
@@ -170,7 +213,7 @@ fn a_circle_of_legs_has_a_mirror_image() {
     assert_eq!(sides.signs, [-1.0, 1.0, 1.0].repeat(6));
     // The leg in front steps with its own mirror image, so both groups of a tripod keep their legs. With three legs at each
     // side a leg's image is in the other group.
-    let swaps = |robot: &TreeModel, sides: &Symmetry| AlternatingGait::of(robot).unwrap().swaps(&sides.joints);
+    let swaps = |robot: &TreeModel, sides: &Symmetry| PlainGait::of(robot).unwrap().swaps(&sides.joints);
     assert_eq!(swaps(&robot, &sides), Some(false));
     let beside = model(&hexapod(&BESIDE, true, 6.0, 1.0));
     assert_eq!(swaps(&beside, &Symmetry::of(&beside).unwrap()), Some(true));

@@ -312,14 +312,15 @@ impl EvidenceTable {
         }
     }
 
-    /// The same for squares of errors: by how much those of `best` are less than those of `other`, in units of the noise's variance.
+    /// The same for squares of errors: by how much those of `best` are less than those of `other`, in units of the noise's variance. If the
+    /// condition is measured again, its own expected error s changes, and the errors of the parameters, which other conditions give, stay.
     pub fn lowered(&self, best: usize, other: usize, c: usize) -> SumPart {
-        let [ours, theirs] = [best, other].map(|k| &self.rows[k].predicted.left[c].error);
-        let (apart, variance) = (theirs - ours, self.weight(&self.rows[best], c).recip());
+        let [ours, theirs] = [best, other].map(|k| &self.rows[k].predicted.left[c]);
+        let (apart, variance) = (&theirs.error - &ours.error, self.weight(&self.rows[best], c).recip());
         SumPart {
-            gain: theirs.norm_squared() - ours.norm_squared(),
+            gain: theirs.error.norm_squared() - ours.error.norm_squared(),
             noise: 4.0 * variance * apart.norm_squared(),
-            clusters: (2.0 * apart.dot(ours)).powi(2),
+            clusters: (2.0 * apart.dot(&ours.solved)).powi(2),
         }
     }
 

@@ -225,9 +225,11 @@ fn half([noise, scatter]: [f64; 2], degrees: f64, clusters: usize) -> f64 {
     reach(noise, degrees.max(2.0)).max(reach(scatter, others))
 }
 
-/// Precision and score of a value's prior at coordinate `at`. The prior is normal about 0, with a standard deviation of [`USUAL`] typical strengths.
+/// Precision and score of a value's prior at coordinate `at`. About 0 the prior is normal, with a standard deviation of [`USUAL`]
+/// typical strengths. Beyond this the density falls with one over the value, as Jeffreys' prior of a scale does, so a value that is
+/// stronger than usual is not drawn to 0.
 pub fn value_prior(id: usize, at: f64) -> [f64; 2] {
-    let precision = (USUAL * CATALOG[id].coordinate_typical()).powi(-2);
+    let precision = (USUAL * CATALOG[id].coordinate_typical()).max(at.abs()).powi(-2);
     [precision, -precision * at]
 }
 

@@ -5,7 +5,7 @@ use crate::env::legged::columns::CLOCK;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::sim::tree::TreeModel;
-use crate::sim::tree::alternating::AlternatingGait;
+use crate::sim::tree::plain_gait::PlainGait;
 use crate::sim::tree::symmetry::{Sides, Symmetry};
 
 /// For each column of a mirror image, the column that its value comes from, and the sign.
@@ -97,7 +97,7 @@ struct LeggedMirror {
 impl LeggedMirror {
     fn of(robot: &TreeModel, joints: Vec<String>) -> Result<Self> {
         let symmetry = Symmetry::of(robot).map_err(|e| refused(&e.to_string()))?;
-        let clock = match AlternatingGait::of(robot) {
+        let clock = match PlainGait::of(robot) {
             Some(gait) => gait.swaps(&symmetry.joints).map(|swaps| if swaps { -1.0 } else { 1.0 }),
             None => Some(-1.0),
         };

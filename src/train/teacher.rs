@@ -11,21 +11,24 @@ use crate::env::registry::Blueprint;
 use crate::env::spec::RewardTerm;
 use crate::env::{Shard, Task};
 use crate::error::Result;
-use crate::sim::tree::TreeJoint;
+use crate::sim::tree::{JointKind, TreeJoint, TreeModel};
 use serde_json::{Value, json};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Names of the observation's columns with the command.
 const COMMANDS: [&str; 3] = ["commanded lin_vel_x", "commanded lin_vel_y", "commanded ang_vel_yaw"];
-/// Options with the frequency of the observed clock, with the greatest speeds of commands and with the width of the tracking
-/// terms, and the reward term for long steps.
+/// Options with the frequency of the observed clock, the scale of actions, the greatest speeds of commands and the width of the
+/// tracking terms, and the reward term for long steps.
 const CLOCK_RATE: &str = "gait_clock";
 const JOINTS: &str = "joints";
+const ACTION_SCALE: &str = "action_scale";
 const SPEEDS: &str = "max_velocity";
 const SIGMA: &str = "tracking_sigma";
 const AIR_TIME: &str = "feet_air_time";
 /// The share of commands along one axis, among the options of commands.
 const ONE_AXIS: &str = "single_axis";
+/// The scale of actions with which legs that sink in step higher [rad]: our choice, twice the default's largest.
+const LARGE: f64 = 1.0;
 /// σ of the tracking terms of a robot with a clock: our choice. They take the mean velocity of a stride, which does not sway, so
 /// they may be narrow; and at slow commands, a small drift is a large part of the command. docs/learning_hexapods.md compares
 /// it with the default.
@@ -63,15 +66,28 @@ const FALL: &str = "termination";
 
 /// The plain gait of the robot of LeggedVelocity in `blueprint`; None: it has fewer than six legs, or an odd number.
 pub fn plain_gait(blueprint: &Blueprint) -> Result<Option<GaitPrior>> {
+    gait_with(blueprint, blueprint.task.option(ACTION_SCALE).as_f64())
+}
+
+fn gait_with(blueprint: &Blueprint, action_scale: Option<f64>) -> Result<Option<GaitPrior>> {
     let task = &blueprint.task;
-    let number = |name: &str| task.option(name).as_f64();
-    GaitPrior::of(task.model(), number("action_scale"), task.option(JOINTS) == LEGS, number(CLOCK_RATE))
+    GaitPrior::of(task.model(), action_scale, task.option(JOINTS) == LEGS, task.option(CLOCK_RATE).as_f64())
+}
+
+/// The plain gait with the larger scale of actions, if the scale is not given, all joints of the legs turn, and the gait is clearly
+/// better than `usual`.
+fn with_larger_steps(blueprint: &Blueprint, options: &Value, usual: &GaitPrior) -> Result<Option<GaitPrior>> {
+    let turn = |tree: &TreeModel| tree.tree.joints().all(|joint| joint.kind != JointKind::Slide);
+    if !options[ACTION_SCALE].is_null() || !blueprint.task.model().tree.as_ref().is_some_and(|tree| turn(tree)) {
+        return Ok(None);
+    }
+    Ok(gait_with(blueprint, Some(LARGE))?.filter(|larger| larger.is_better_than(usual)))
 }
 
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
 /// the weights of the terms for steps in time and in turns, the share of commands along one axis (where every command has a part forward,
 /// a biped does not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain
-/// gait, sets the clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands
+/// gait, sets the larger scale of actions if the gait is clearly better with it, the clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands
 /// along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes
 /// standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
@@ -86,6 +102,9 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         let two_legs = if on_two { suit_two_legs(options, kept, &blueprint) } else { Vec::new() };
         return Ok(Suited { held, on_two, two_legs, ..Suited::default() });
     };
+    let larger = if kept.is_null() { with_larger_steps(&blueprint, options, &prior)? } else { None };
+    suggest(options, kept, &[ACTION_SCALE], json!(larger.as_ref().map(|_| LARGE)));
+    let (prior, larger) = (larger.clone().unwrap_or(prior), larger.is_some());
     if options[CLOCK_RATE].is_null() {
         options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
     }
@@ -119,7 +138,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         }
     };
     options["rewards"] = Value::Object(rewards);
-    Ok(Suited { speeds, weaker, kept: kept_weights, held, ..Suited::default() })
+    Ok(Suited { speeds, larger, weaker, kept: kept_weights, held, ..Suited::default() })
 }
 
 /// Sets options for a robot with two legs, see [`suit`]. Returns those whose values are its own.
@@ -197,6 +216,8 @@ fn hold_arms(blueprint: &Blueprint, options: &mut Value, kept: &Value) -> usize 
 pub struct Suited {
     /// The ranges of commands.
     speeds: bool,
+    /// Is the scale of actions the larger one?
+    larger: bool,
     /// Terms of the reward that became weaker, with their weights.
     weaker: Vec<(&'static str, f64)>,
     /// Terms whose weights are those of the training that goes on, with these.
@@ -310,6 +331,11 @@ impl Teacher {
         } else {
             "commands are those of the options".to_owned()
         };
+        let larger = if suited.larger {
+            format!("action_scale is {LARGE} rad, with which it walks better; ")
+        } else {
+            String::new()
+        };
         let weaker: Vec<String> = suited.weaker.iter().map(|(name, weight)| format!("{name} {weight}")).collect();
         let weaker = match &weaker[..] {
             [] if !suited.kept.is_empty() => {
@@ -323,9 +349,10 @@ impl Teacher {
             ),
         };
         format!(
-            "the policy imitates a plain gait of {:.1} strides a second for {:.2} M steps and observes a clock of them (--set gait_prior=0: neither); \
-             unless they are given, reward term feet_air_time is 0, tracking_sigma {NARROW} and commands.single_axis {SINGLE_AXIS}; \
+            "the policy imitates a plain {} of {:.1} strides a second for {:.2} M steps and observes a clock of them (--set gait_prior=0: neither); \
+             {larger}unless they are given, reward term feet_air_time is 0, tracking_sigma {NARROW} and commands.single_axis {SINGLE_AXIS}; \
              {commands}{weaker}",
+            self.prior.stride.name(),
             self.prior.stride.frequency,
             steps as f64 / 1e6
         )

@@ -41,6 +41,24 @@ fn a_plate_that_stops_has_no_delay() {
     holds(&r, 2.779);
 }
 
+/// Its gain was held for uncertain while the errors of coefficients, which a second measurement of the same condition leaves as they
+/// are, counted in its interval.
+#[test]
+fn errors_of_coefficients_do_not_blur_a_gain() {
+    let r = elsewhere("added_mass");
+    named_alone(&r, "added_mass", CauseKind::Sand);
+    holds(&r, 2.323);
+    assert!(r.gain.ci95.unwrap()[0] > 0.1, "{:?}", r.gain);
+}
+
+/// A prior of 0 ± 200 Pa drew the value to 0, so a law with a wide prior predicted better than the cause.
+#[test]
+fn strong_cohesion_is_not_drawn_to_none() {
+    let r = elsewhere("strong_cohesion");
+    named_alone(&r, "cohesion", CauseKind::Sand);
+    holds(&r, 2500.0);
+}
+
 /// Filters at their bounds take the place of a long delay: beside them the delay was −4 ms.
 #[test]
 fn a_late_log_is_late() {

@@ -7,19 +7,27 @@ use super::units::Units;
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine, EngineKind};
 use crate::sim::tree::TreeModel;
-use crate::sim::tree::alternating::{AlternatingGait, LegStride};
+use crate::sim::tree::plain_gait::{LegStride, PlainGait, StepOrder};
+use crate::sim::tree::symmetry::{Sides, Symmetry};
 use crate::sim::{Model, State};
 use crate::spec::CONTROL_RATE;
 
 /// Fewest legs of a robot that walks without balancing: three stand while three step.
 const LEGS: usize = 6;
-/// Frequencies of strides that are tried, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
-/// our choice. For legs of 12 cm the frequencies are 1.4, 2 and 2.9 Hz.
+/// Gaits that are tried: the alternating tripod, and waves in which four or five of six legs stand, as insects walk
+/// (Wilson, Annual Review of Entomology 11:103, 1966). Thin legs sink half as deep with them.
+const GAITS: [(StepOrder, f64); 3] =
+    [(StepOrder::Alternating, 1.0 / 2.0), (StepOrder::Wave, 2.0 / 3.0), (StepOrder::Wave, 5.0 / 6.0)];
+/// Frequencies of a tripod's strides, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
+/// our choice. For legs of 12 cm the frequencies are 1.4, 2 and 2.9 Hz. In other gaits a swing takes as long as in a tripod.
 const FREQUENCIES: [f64; 3] = [0.16, 0.22, 0.32];
-const LIFTS: [f64; 2] = [0.2, 0.4];
-/// Duration of a trial, and its beginning that is not counted [s]: our choice, three strides or more after the robot has
-/// sunk in.
-const SECONDS: f64 = 3.0;
+const LIFTS: [f64; 3] = [0.2, 0.4, 0.6];
+/// Speeds that the gait is asked for, in units of the default ranges' ends: our choice. The first one selects the stride.
+const ASKED: [f64; 3] = [0.5, 1.0, 0.25];
+/// A wave, or larger steps, must be better than the tripod by this factor: our choice.
+const BETTER: f64 = 1.2;
+/// Duration of a trial, and its beginning that is not counted [s]: our choice. Whole strides count, after the robot has sunk in.
+const SECONDS: f64 = 4.0;
 const BEGINNING: f64 = 1.0;
 /// A speed counts as at least this part of the speed that was asked: our choice. The plain gait may go badly where
 /// another one does not, and commands near zero teach nothing.
@@ -38,17 +46,24 @@ fn rounded(x: f64) -> f64 {
 /// The plain gait of a robot on a ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GaitPrior {
-    gait: AlternatingGait,
+    gait: PlainGait,
     pub stride: LegStride,
-    /// Speeds forward, to the left [m/s] and yaw [rad/s] that the gait is asked for, and what it reaches then.
+    /// The ends of the commands' default ranges forward, to the left [m/s] and yaw [rad/s].
+    ends: [f64; 3],
+    /// Speeds that the gait is asked for, and what it reaches then.
     pub asked: [f64; 3],
     pub reached: [f64; 3],
     /// The speed forward that it really reaches, if that is less than `reached` [m/s].
     pub slow: Option<f64>,
+    /// How well it walks: the sum of the speeds that it really reaches along all directions, in units of `ends`.
+    score: f64,
     /// The joint of each action, and the offset of its target at action 1 [rad].
     driven: Vec<(usize, f64)>,
     joints: usize,
 }
+
+/// One way to walk: a stride, and the speeds that it is asked for.
+type Trial = (LegStride, [f64; 3]);
 
 impl GaitPrior {
     /// Tries strides with the robot of `model` on its ground; `action_scale` is the option, `legs`: do actions move the joints of
@@ -56,32 +71,60 @@ impl GaitPrior {
     /// number.
     pub fn of(model: &Model, action_scale: Option<f64>, legs: bool, clock: Option<f64>) -> Result<Option<Self>> {
         let Some(tree) = &model.tree else { return Ok(None) };
-        let Some(gait) = AlternatingGait::of(tree).filter(|_| tree.stance.legs.len() >= LEGS) else { return Ok(None) };
-        let driven = driven(tree, action_scale, legs).by_actions;
-        let units = Units::of(model);
-        let asked = units.commanded();
-        let usual = FREQUENCIES.map(|f| rounded(f * units.rate));
-        let frequencies = clock.map_or(usual.to_vec(), |given| vec![given]);
-        let stride = |frequency: f64, lift: f64| LegStride { frequency, lift: lift * tree.stance.leg_length };
-        let strides: Vec<LegStride> = frequencies.iter().flat_map(|f| LIFTS.map(|lift| stride(*f, lift))).collect();
-        let (stride, reached, joints) = (strides[0], [0.0; 3], tree.joints());
-        let mut own = Self { gait, stride, asked, reached, slow: None, driven, joints };
-        let all = own.trials(model, tree, &strides)?;
-        let share = |reached: &[f64; 3]| (0..3).map(|k| (reached[k] / asked[k]).clamp(0.0, 1.0)).sum::<f64>();
-        let best = strides.iter().zip(all).max_by(|a, b| share(&a.1).total_cmp(&share(&b.1)));
-        if let Some((stride, reached)) = best {
-            (own.stride, own.reached) = (*stride, std::array::from_fn(|k| reached[k].max(LEAST * asked[k])));
-            own.slow = Some(reached[0]).filter(|speed| *speed < own.reached[0]);
-        }
+        let Some(gait) = PlainGait::of(tree).filter(|_| tree.stance.legs.len() >= LEGS) else { return Ok(None) };
+        let ends = Units::of(model).commanded();
+        let strides = strides(model, tree, &gait, clock);
+        let (stride, driven) = (strides[0], driven(tree, action_scale, legs).by_actions);
+        let mut own = Self {
+            gait,
+            stride,
+            ends,
+            asked: ends,
+            reached: [0.0; 3],
+            slow: None,
+            score: 0.0,
+            driven,
+            joints: tree.joints(),
+        };
+        let asked = ASKED.map(|share| ends.map(|end| share * end));
+        let first: Vec<Trial> = strides.into_iter().map(|stride| (stride, asked[0])).collect();
+        let (best, reached) = own.best(model, tree, &first)?;
+        let others = [asked[1], asked[2]].map(|asked| (best.0, asked));
+        let (other, others) = own.best(model, tree, &others)?;
+        let (walk, reached) = if own.score(&others) > own.score(&reached) { (other, others) } else { (best, reached) };
+        (own.stride, own.asked, own.score) = (walk.0, walk.1, own.score(&reached));
+        own.reached = std::array::from_fn(|k| reached[k].max(LEAST * ends[k]));
+        own.slow = Some(reached[0]).filter(|speed| *speed < own.reached[0]);
         Ok(Some(own))
+    }
+
+    /// The sum of these speeds in units of the default ranges' ends.
+    fn score(&self, reached: &[f64; 3]) -> f64 {
+        (0..3).map(|k| (reached[k] / self.ends[k]).clamp(0.0, 1.0)).sum()
+    }
+
+    /// Does it walk clearly better than `other`?
+    pub fn is_better_than(&self, other: &Self) -> bool {
+        self.score > BETTER * other.score
+    }
+
+    /// The trial that goes best, and what it reaches.
+    fn best(&self, model: &Model, tree: &TreeModel, trials: &[Trial]) -> Result<(Trial, [f64; 3])> {
+        let reached = self.reached(model, tree, trials)?;
+        let score = |k: usize| {
+            let usual = trials[k].0.order == StepOrder::Alternating;
+            self.score(&reached[k]) * if usual { BETTER } else { 1.0 }
+        };
+        let best = (0..trials.len()).max_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0);
+        Ok((trials[best], reached[best]))
     }
 
     /// The greatest speeds forward, to the left [m/s] and yaw [rad/s] that suit robot and ground: somewhat more than the
     /// gait reaches, but not above the default ranges' ends. Turning is slowed down as much as walking, so curves keep
     /// their radius.
     pub fn speeds(&self) -> [f64; 3] {
-        let share = |k: usize| (FASTER * self.reached[k] / self.asked[k]).min(1.0);
-        let [x, y, yaw] = self.asked;
+        let share = |k: usize| (FASTER * self.reached[k] / self.ends[k]).min(1.0);
+        let [x, y, yaw] = self.ends;
         [share(0) * x, share(1) * y, share(0) * yaw].map(rounded)
     }
 
@@ -102,23 +145,27 @@ impl GaitPrior {
         }
     }
 
-    /// The speed along each direction that is reached with each stride when the robot is asked for the greatest speed in
-    /// this direction.
-    fn trials(&self, model: &Model, tree: &TreeModel, strides: &[LegStride]) -> Result<Vec<[f64; 3]>> {
+    /// The speed along each direction that is reached in each trial when the robot is asked for the speed in this direction.
+    fn reached(&self, model: &Model, tree: &TreeModel, trials: &[Trial]) -> Result<Vec<[f64; 3]>> {
         let angles = &tree.stance.angles;
         let mut start = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
         start.references.copy_from_slice(angles);
-        let count = 3 * strides.len();
+        let count = 3 * trials.len();
         let mut engine = Engine::new(EngineKind::Tree, model, count)?;
         (0..count).for_each(|i| engine.set_state(i, &start));
         let substeps = (1.0 / (CONTROL_RATE * model.scene.dt)).round().max(1.0) as usize;
         let (mut sums, mut state) = (vec![0.0; count], start.clone());
         let (mut command, mut action) = (Command::still(self.joints), vec![0.0; self.driven.len()]);
-        let (steps, first) = ((SECONDS * CONTROL_RATE) as usize, (BEGINNING * CONTROL_RATE) as usize);
+        let steps = (SECONDS * CONTROL_RATE) as usize;
+        let counted = |frequency: f64| {
+            let (longest, stride) = (SECONDS - BEGINNING, frequency.recip());
+            let whole = if stride < longest { (longest / stride).floor() * stride } else { longest };
+            (whole * CONTROL_RATE).round() as usize
+        };
         for step in 0..steps {
             for i in 0..count {
-                let (stride, mut velocity) = (strides[i / 3], [0.0; 3]);
-                velocity[i % 3] = self.asked[i % 3];
+                let ((stride, asked), mut velocity) = (trials[i / 3], [0.0; 3]);
+                velocity[i % 3] = asked[i % 3];
                 self.fill(stride, velocity, stride.frequency * step as f64 / CONTROL_RATE, &mut action);
                 command.targets.clear();
                 command.targets.extend_from_slice(angles);
@@ -128,13 +175,36 @@ impl GaitPrior {
                 engine.command(i, &command);
             }
             engine.advance(substeps);
-            for (i, sum) in sums.iter_mut().enumerate().filter(|_| step >= first) {
+            for (i, sum) in sums.iter_mut().enumerate() {
+                let counted = counted(trials[i / 3].0.frequency);
+                if step + counted < steps {
+                    continue;
+                }
                 engine.state(i, &mut state);
                 let [x, y, _] = state.to_body(state.velocity);
                 let own = [x, y, state.to_body(state.angular_velocity)[2]][i % 3];
-                *sum += if state.is_sound() { own / (steps - first) as f64 } else { f64::NEG_INFINITY };
+                *sum += if state.is_sound() { own / counted as f64 } else { f64::NEG_INFINITY };
             }
         }
         Ok(sums.chunks_exact(3).map(|s| std::array::from_fn(|k| s[k].max(0.0))).collect())
     }
+}
+
+/// The strides that are tried. A wave runs from back to front, so it suits robots whose front is along x.
+fn strides(model: &Model, tree: &TreeModel, gait: &PlainGait, clock: Option<f64>) -> Vec<LegStride> {
+    let rate = Units::of(model).rate;
+    let along_y = Symmetry::of(tree).is_ok_and(|own| own.sides != Sides::LeftRight);
+    let mut all = Vec::new();
+    for (order, duty_factor) in GAITS {
+        if order == StepOrder::Wave && (along_y || !gait.has_wave()) {
+            continue;
+        }
+        let slower = (1.0 - duty_factor) / (1.0 - GAITS[0].1);
+        let usual = || FREQUENCIES.iter().map(|f| rounded(f * rate * slower)).collect();
+        for frequency in clock.map_or_else(usual, |given| vec![given]) {
+            let lifted = |lift: f64| LegStride { order, duty_factor, frequency, lift: lift * tree.stance.leg_length };
+            all.extend(LIFTS.map(lifted));
+        }
+    }
+    all
 }

@@ -21,7 +21,6 @@
 //!   [`patches`]: gathers plates with nearly the same normal; [`eights`]: eight patches in lanes; [`robot`]: our own
 //!   robots as trees.
 
-pub mod alternating;
 mod cluster;
 pub mod contact;
 pub mod dynamics;
@@ -43,6 +42,7 @@ pub mod looks;
 pub mod model;
 pub mod packed;
 pub mod patches;
+pub mod plain_gait;
 pub mod plates;
 mod reach;
 pub mod relief;

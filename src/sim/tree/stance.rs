@@ -2,11 +2,11 @@
 //! searched: each leg stands under its hip, in the middle of the heights that it can use.
 
 use super::Tree;
-use super::alternating::alternate;
 use super::contact::ContactPoint;
 use super::free_joints::FreeJoints;
 use super::kinematics::{chain, lowest};
 use super::limbs::{Limb, limbs};
+use super::plain_gait::alternate;
 use super::reach::{Reached, STEPS};
 use super::symmetry::{Sides, Symmetry};
 use nalgebra::{Isometry3, Vector3};
