@@ -6,6 +6,7 @@ mod legged_training;
 mod packing;
 
 use packing::pack;
+use sandgait::env::Shard;
 use sandgait::env::legged::Units;
 use sandgait::env::legged::prior::GaitPrior;
 use sandgait::env::registry::Blueprint;
@@ -174,8 +175,7 @@ fn thin_legs_walk_in_a_wave() {
         let blueprint = Blueprint::new(ID, options).unwrap();
         GaitPrior::of(blueprint.task.model(), None, false, None).unwrap().unwrap()
     };
-    let (broad, thin) =
-        (walks("radius=\"0.02\"", "radius=\"0.01\""), walks("radius=\"0.004\"", "radius=\"0.003\""));
+    let (broad, thin) = (walks("radius=\"0.02\"", "radius=\"0.01\""), walks("radius=\"0.004\"", "radius=\"0.003\""));
     assert_eq!((broad.stride.order, broad.stride.name()), (StepOrder::Alternating, "alternating gait"));
     assert_eq!(thin.stride.order, StepOrder::Wave, "{thin:?}");
     assert!(broad.is_better_than(&thin));
@@ -304,7 +304,8 @@ fn a_training_begins_with_the_plain_gait() {
     let trained = request(options.clone(), &out, &small, 20_000).run(&sandgait::progress::Silent).unwrap();
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
     let (clock, speeds) = (&settings["options"]["gait_clock"], &settings["options"]["max_velocity"]);
-    assert!(clock.as_f64().unwrap() > 0.5 && speeds[0].as_f64().unwrap() > 0.05, "{clock} {speeds}");
+    // Strides are short enough for the learner.
+    assert!(clock.as_f64().unwrap() > 1.7 && speeds[0].as_f64().unwrap() > 0.05, "{clock} {speeds}");
     // While it imitates, the policy's loss is half of the squared distance from the gait's action.
     let last = trained.last.unwrap();
     assert!(last.policy_loss > 0.0 && last.policy_loss < 0.6, "{}", last.policy_loss);
@@ -330,6 +331,36 @@ fn a_training_begins_with_the_plain_gait() {
     request(options, &out, &[&small[..], &["gait_prior=0"]].concat(), 512).run(&sandgait::progress::Silent).unwrap();
     let settings: Value = serde_json::from_slice(&std::fs::read(out.join("settings.json")).unwrap()).unwrap();
     assert!(settings["options"].get("gait_clock").is_none());
+}
+
+/// The gait is asked for what the trials say: it follows a command within a third, where asking for the command itself would not do.
+#[test]
+fn the_gait_follows_its_commands() {
+    let mut options = options(&hexapod(&BESIDE, true, 7.0, 1.0));
+    options["ground"] = "poppy-close".into();
+    let prior =
+        GaitPrior::of(Blueprint::new(ID, options.clone()).unwrap().task.model(), None, false, None).unwrap().unwrap();
+    options["gait_clock"] = json!(prior.stride.frequency);
+    for name in ["curriculum", "domain_rand"] {
+        options[name] = Value::Null;
+    }
+    let blueprint = Blueprint::new(ID, options).unwrap();
+    let settings = Hyperparameters { gait_prior: 1, ..Hyperparameters::default() };
+    let teacher = Teacher::of(&blueprint, &settings).unwrap().unwrap();
+    let speed = blueprint.task.spec().info.iter().position(|column| column.name == "speed").unwrap();
+    for share in [0.4, 0.8] {
+        let command = share * prior.reached[0];
+        let mut shard = Shard::new(&blueprint, 1).unwrap();
+        shard.reset(|_| true, Some(&[0]), |_| None);
+        let (mut action, mut way) = (vec![0.0; shard.actions()], 0.0);
+        for step in 0..250 {
+            shard.set_command(0, [command, 0.0, 0.0]);
+            teacher.act(&shard.rows.observations, &mut action);
+            shard.step(&action);
+            way += if step < 50 { 0.0 } else { f64::from(shard.rows.infos[speed]) / 200.0 };
+        }
+        assert!((way / command - 1.0).abs() < 0.33, "{way} of {command} m/s, reached {:?}", prior.reached);
+    }
 }
 
 /// The gait of the mirrored robot is the mirror image of the gait: half a stride later if both groups of legs change places, else

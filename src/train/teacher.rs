@@ -4,7 +4,7 @@
 
 use super::settings::Hyperparameters;
 use crate::env::legged::columns::CLOCK;
-use crate::env::legged::prior::{GaitPrior, LEAST};
+use crate::env::legged::prior::{GaitPrior, LEAST, LONGEST_STRIDE};
 use crate::env::legged::units::Units;
 use crate::env::legged::{LEGS, LeggedVelocity};
 use crate::env::registry::Blueprint;
@@ -39,10 +39,6 @@ const SINGLE_AXIS: f64 = 0.5;
 /// Strides of two legs in a second, in units of √(g/ℓ): our choice; the 0.8 s of G1 and H1 in unitree_rl_gym (`period` in `g1_env.py`) are
 /// 0.33 and 0.38 of it.
 const BIPED_STRIDES: f64 = 0.33;
-/// Longest stride with a clock [s]: our choice, twice the 0.29 s to which the learner's advantages reach, 1/(1 − γλ) steps of 20 ms. With a
-/// clock the tracking terms take the mean velocity of a stride: H1 and G1, with strides of 0.8 s, then walked at half of the commanded
-/// speed (docs/robots_results.md).
-const LONGEST_STRIDE: f64 = 0.58;
 /// The reward term for feet that bear load in time with the clock, and its weight for two legs: unitree_rl_gym's for G1 and H1. A small
 /// biped with large soles that stands well did not begin to walk without it (docs/robots_results.md).
 const CONTACT: &str = "contact";
@@ -145,6 +141,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
 fn suit_two_legs(options: &mut Value, kept: &Value, blueprint: &Blueprint) -> Vec<String> {
     let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
     let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS)];
+    // With a clock of 0.8 s H1 and G1 walked at half of the commanded speed (docs/robots_results.md).
     if strides * LONGEST_STRIDE > 1.0 {
         own.extend([(&[CLOCK_RATE][..], strides), (&["rewards", CONTACT], CONTACT_WEIGHT)]);
     } else {

@@ -22,10 +22,16 @@ const GAITS: [(StepOrder, f64); 3] =
 /// our choice. For legs of 12 cm the frequencies are 1.4, 2 and 2.9 Hz. In other gaits a swing takes as long as in a tripod.
 const FREQUENCIES: [f64; 3] = [0.16, 0.22, 0.32];
 const LIFTS: [f64; 3] = [0.2, 0.4, 0.6];
-/// Speeds that the gait is asked for, in units of the default ranges' ends: our choice. The first one selects the stride.
-const ASKED: [f64; 3] = [0.5, 1.0, 0.25];
+/// Speeds that the gait is asked for, in units of the default ranges' ends, and the one of these with which strides are compared: our
+/// choice.
+const ASKED: [f64; 3] = [0.25, 0.5, 1.0];
+const COMPARED: f64 = 0.5;
 /// A wave, or larger steps, must be better than the tripod by this factor: our choice.
 const BETTER: f64 = 1.2;
+/// Longest stride that is tried if a shorter one is among [`FREQUENCIES`] [s]: our choice, twice the 0.29 s to which the learner's
+/// advantages reach, 1/(1 − γλ) steps of 20 ms. Tracking terms take the mean velocity of a stride, so of a longer one the learner sees
+/// the costs and not the gain: a hexapod gave up a ripple gait of 1.1 s that it had imitated (docs/learning_hexapods.md).
+pub const LONGEST_STRIDE: f64 = 0.58;
 /// Duration of a trial, and its beginning that is not counted [s]: our choice. Whole strides count, after the robot has sunk in.
 const SECONDS: f64 = 4.0;
 const BEGINNING: f64 = 1.0;
@@ -50,9 +56,10 @@ pub struct GaitPrior {
     pub stride: LegStride,
     /// The ends of the commands' default ranges forward, to the left [m/s] and yaw [rad/s].
     ends: [f64; 3],
-    /// Speeds that the gait is asked for, and what it reaches then.
-    pub asked: [f64; 3],
+    /// The greatest speeds that it reaches, at least [`LEAST`] of `ends`.
     pub reached: [f64; 3],
+    /// What it reaches along each direction if it is asked for [`ASKED`] of `ends`. It slips, and its joints come to their ends.
+    curves: [[f64; ASKED.len()]; 3],
     /// The speed forward that it really reaches, if that is less than `reached` [m/s].
     pub slow: Option<f64>,
     /// How well it walks: the sum of the speeds that it really reaches along all directions, in units of `ends`.
@@ -62,8 +69,8 @@ pub struct GaitPrior {
     joints: usize,
 }
 
-/// One way to walk: a stride, and the speeds that it is asked for.
-type Trial = (LegStride, [f64; 3]);
+/// A stride, and the speed that it is asked for, in units of the default ranges' ends.
+type Trial = (LegStride, f64);
 
 impl GaitPrior {
     /// Tries strides with the robot of `model` on its ground; `action_scale` is the option, `legs`: do actions move the joints of
@@ -75,26 +82,19 @@ impl GaitPrior {
         let ends = Units::of(model).commanded();
         let strides = strides(model, tree, &gait, clock);
         let (stride, driven) = (strides[0], driven(tree, action_scale, legs).by_actions);
-        let mut own = Self {
-            gait,
-            stride,
-            ends,
-            asked: ends,
-            reached: [0.0; 3],
-            slow: None,
-            score: 0.0,
-            driven,
-            joints: tree.joints(),
-        };
-        let asked = ASKED.map(|share| ends.map(|end| share * end));
-        let first: Vec<Trial> = strides.into_iter().map(|stride| (stride, asked[0])).collect();
-        let (best, reached) = own.best(model, tree, &first)?;
-        let others = [asked[1], asked[2]].map(|asked| (best.0, asked));
-        let (other, others) = own.best(model, tree, &others)?;
-        let (walk, reached) = if own.score(&others) > own.score(&reached) { (other, others) } else { (best, reached) };
-        (own.stride, own.asked, own.score) = (walk.0, walk.1, own.score(&reached));
-        own.reached = std::array::from_fn(|k| reached[k].max(LEAST * ends[k]));
-        own.slow = Some(reached[0]).filter(|speed| *speed < own.reached[0]);
+        let (curves, joints) = ([[0.0; ASKED.len()]; 3], tree.joints());
+        let mut own = Self { gait, stride, ends, reached: [0.0; 3], curves, slow: None, score: 0.0, driven, joints };
+        let all = own.trials(model, tree, &strides.iter().map(|stride| (*stride, COMPARED)).collect::<Vec<Trial>>())?;
+        let score =
+            |k: usize| own.score(&all[k]) * if strides[k].order == StepOrder::Alternating { BETTER } else { 1.0 };
+        let best = (0..strides.len()).max_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0);
+        own.stride = strides[best];
+        let reached = own.trials(model, tree, &ASKED.map(|share| (own.stride, share)))?;
+        own.curves = std::array::from_fn(|k| std::array::from_fn(|i| reached[i][k]));
+        let most = own.curves.map(|curve| curve.into_iter().fold(0.0, f64::max));
+        own.score = own.score(&most);
+        own.reached = std::array::from_fn(|k| most[k].max(LEAST * ends[k]));
+        own.slow = Some(most[0]).filter(|speed| *speed < own.reached[0]);
         Ok(Some(own))
     }
 
@@ -108,17 +108,6 @@ impl GaitPrior {
         self.score > BETTER * other.score
     }
 
-    /// The trial that goes best, and what it reaches.
-    fn best(&self, model: &Model, tree: &TreeModel, trials: &[Trial]) -> Result<(Trial, [f64; 3])> {
-        let reached = self.reached(model, tree, trials)?;
-        let score = |k: usize| {
-            let usual = trials[k].0.order == StepOrder::Alternating;
-            self.score(&reached[k]) * if usual { BETTER } else { 1.0 }
-        };
-        let best = (0..trials.len()).max_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0);
-        Ok((trials[best], reached[best]))
-    }
-
     /// The greatest speeds forward, to the left [m/s] and yaw [rad/s] that suit robot and ground: somewhat more than the
     /// gait reaches, but not above the default ranges' ends. Turning is slowed down as much as walking, so curves keep
     /// their radius.
@@ -130,11 +119,27 @@ impl GaitPrior {
 
     /// Fills `action` with the gait's action at `phase` of a stride, 0 to 1, under `command`.
     pub fn action(&self, command: [f64; 3], phase: f64, action: &mut [f32]) {
-        // The gait slips, so it is asked for more than the command.
-        let fed = std::array::from_fn(|k| command[k] * self.asked[k] / self.reached[k].min(self.asked[k]));
+        let fed = std::array::from_fn(|k| self.asked(k, command[k].abs()).copysign(command[k]));
         let size = (0..3).map(|k| (command[k] / self.reached[k]).powi(2)).sum::<f64>().sqrt();
         let lift = self.stride.lift * (size / SLOW).min(1.0);
         self.fill(LegStride { lift, ..self.stride }, fed, phase, action);
+    }
+
+    /// What the gait must be asked for to reach a speed along direction `k`, from the straight lines between the trials; as much as it
+    /// is asked for at its greatest speed, if the speed is beyond it.
+    fn asked(&self, k: usize, speed: f64) -> f64 {
+        let (mut before, mut least) = ([0.0; 2], 0.0);
+        for (share, reached) in ASKED.into_iter().zip(self.curves[k]).filter(|(_, reached)| *reached > 0.0) {
+            let now = [share * self.ends[k], reached];
+            if now[1] >= speed {
+                let part = ((speed - before[1]) / (now[1] - before[1]).max(1e-9)).clamp(0.0, 1.0);
+                return before[0] + part * (now[0] - before[0]);
+            }
+            if now[1] > before[1] {
+                (before, least) = (now, now[0]);
+            }
+        }
+        if least > 0.0 { least } else { self.ends[k] * speed / self.reached[k] }
     }
 
     fn fill(&self, stride: LegStride, velocity: [f64; 3], phase: f64, action: &mut [f32]) {
@@ -146,7 +151,7 @@ impl GaitPrior {
     }
 
     /// The speed along each direction that is reached in each trial when the robot is asked for the speed in this direction.
-    fn reached(&self, model: &Model, tree: &TreeModel, trials: &[Trial]) -> Result<Vec<[f64; 3]>> {
+    fn trials(&self, model: &Model, tree: &TreeModel, trials: &[Trial]) -> Result<Vec<[f64; 3]>> {
         let angles = &tree.stance.angles;
         let mut start = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
         start.references.copy_from_slice(angles);
@@ -164,8 +169,8 @@ impl GaitPrior {
         };
         for step in 0..steps {
             for i in 0..count {
-                let ((stride, asked), mut velocity) = (trials[i / 3], [0.0; 3]);
-                velocity[i % 3] = asked[i % 3];
+                let ((stride, share), mut velocity) = (trials[i / 3], [0.0; 3]);
+                velocity[i % 3] = share * self.ends[i % 3];
                 self.fill(stride, velocity, stride.frequency * step as f64 / CONTROL_RATE, &mut action);
                 command.targets.clear();
                 command.targets.extend_from_slice(angles);
@@ -205,6 +210,10 @@ fn strides(model: &Model, tree: &TreeModel, gait: &PlainGait, clock: Option<f64>
             let lifted = |lift: f64| LegStride { order, duty_factor, frequency, lift: lift * tree.stance.leg_length };
             all.extend(LIFTS.map(lifted));
         }
+    }
+    let short = |stride: &LegStride| stride.frequency * LONGEST_STRIDE >= 1.0;
+    if all.iter().any(short) {
+        all.retain(short);
     }
     all
 }
