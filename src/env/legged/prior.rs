@@ -15,7 +15,7 @@ use crate::spec::CONTROL_RATE;
 /// Fewest legs of a robot that walks without balancing: three stand while three step.
 const LEGS: usize = 6;
 /// Gaits that are tried: the alternating tripod, and waves in which four or five of six legs stand, as insects walk
-/// (Wilson, Annual Review of Entomology 11:103, 1966). Thin legs sink half as deep with them.
+/// (Wilson, Annual Review of Entomology 11:103, 1966). Thin legs sink in less with them.
 const GAITS: [(StepOrder, f64); 3] =
     [(StepOrder::Alternating, 1.0 / 2.0), (StepOrder::Wave, 2.0 / 3.0), (StepOrder::Wave, 5.0 / 6.0)];
 /// Frequencies of a tripod's strides, in units of √(g/ℓ), and heights to which feet are lifted, in lengths ℓ of the legs:
