@@ -83,9 +83,9 @@ fn with_larger_steps(blueprint: &Blueprint, options: &Value, usual: &GaitPrior) 
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
 /// the weights of the terms for steps in time and in turns, the share of commands along one axis (where every command has a part forward,
 /// a biped does not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain
-/// gait, sets the larger scale of actions if the gait is clearly better with it, the clock to the gait's strides, the greatest speeds to what the gait reaches, narrow tracking terms, the share of commands
-/// along one axis, and the weight of the term for long steps to 0: its threshold is made for the strides of four legs, and on six it makes
-/// standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
+/// gait, sets the larger scale of actions if the gait is clearly better with it, the clock to the gait's strides, the greatest speeds to
+/// what the gait reaches, narrow tracking terms, the share of commands along one axis, and the weight of the term for long steps to 0: its
+/// threshold is made for the strides of four legs, and on six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
     let blueprint = Blueprint::new(LeggedVelocity::ID, options.clone())?;

@@ -128,7 +128,7 @@ impl GaitPrior {
     /// What the gait must be asked for to reach a speed along direction `k`, from the straight lines between the trials; as much as it
     /// is asked for at its greatest speed, if the speed is beyond it.
     fn asked(&self, k: usize, speed: f64) -> f64 {
-        let (mut before, mut least) = ([0.0; 2], 0.0);
+        let mut before = [0.0; 2];
         for (share, reached) in ASKED.into_iter().zip(self.curves[k]).filter(|(_, reached)| *reached > 0.0) {
             let now = [share * self.ends[k], reached];
             if now[1] >= speed {
@@ -136,10 +136,10 @@ impl GaitPrior {
                 return before[0] + part * (now[0] - before[0]);
             }
             if now[1] > before[1] {
-                (before, least) = (now, now[0]);
+                before = now;
             }
         }
-        if least > 0.0 { least } else { self.ends[k] * speed / self.reached[k] }
+        if before[0] > 0.0 { before[0] } else { self.ends[k] * speed / self.reached[k] }
     }
 
     fn fill(&self, stride: LegStride, velocity: [f64; 3], phase: f64, action: &mut [f32]) {
