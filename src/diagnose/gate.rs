@@ -24,6 +24,16 @@ const MOST_SHARE: f64 = 0.5;
 /// form. It is more than the two of other comparisons, because the law is the best of some hundred.
 const MOST_BESIDE: f64 = 3.0;
 
+/// A coefficient that is farther than this many of its stated standard deviations from its stated value contradicts the statement: our
+/// choice.
+const FAR: f64 = 3.0;
+
+/// Says so if a fit needs such a coefficient.
+pub fn far_coefficient(fit: &Fit) -> Option<String> {
+    let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+    (furthest.abs() > FAR).then(|| format!("a stress coefficient moved by {furthest:+.1} stated sd"))
+}
+
 /// An effect with its strength.
 #[derive(Clone, Debug)]
 pub struct FoundEffect {
@@ -176,8 +186,7 @@ impl NameTests<'_> {
         }
         let (_, [low, high]) = self.nested.reduction();
         let [gain, error] = self.nested.least();
-        let measuring = self.entries[row].effects.iter().all(|e| matches!(e, Effect::Measuring(_)));
-        if !self.nested.is_certain(measuring) {
+        if !self.nested.is_certain() {
             let said = format!("{:.0} to {:.0} %, elpd {gain:+.0} ± {error:.0}", 100.0 * low, 100.0 * high);
             let said = said.replace('-', "−");
             failed.push(format!(
@@ -191,6 +200,7 @@ impl NameTests<'_> {
             failed.extend(self.carried(row, reference));
         }
         failed.extend(own.powers.iter().filter_map(FreePower::said));
+        failed.extend(far_coefficient(&own.fit).map(|said| format!("{said} beside it, so the force law does not fit")));
         failed.extend(self.left_to_a_law(row));
         failed.dedup();
         failed

@@ -45,12 +45,10 @@ impl Nested {
         (share(gain), [share(gain - NORMAL * error), share(gain + NORMAL * error)])
     }
 
-    /// Is the gain of elpd above 0 beyond its 95 % interval, and the error less? If the answer is not an effect of `measuring`, the
-    /// interval of the reduction must be above 0, too. An effect of measuring is often known from one condition alone, which a
-    /// model without it cannot predict at all; then the squares of errors have a wide interval.
-    pub fn is_certain(&self, measuring: bool) -> bool {
-        let ([gain, error], (reduction, [low, _])) = (self.least(), self.reduction());
-        gain > NORMAL * error && if measuring { reduction > 0.0 } else { low > 0.0 }
+    /// Are the gain of elpd and the reduction of the error above 0 beyond their 95 % intervals?
+    pub fn is_certain(&self) -> bool {
+        let ([gain, error], (_, [low, _])) = (self.least(), self.reduction());
+        gain > NORMAL * error && low > 0.0
     }
 
     /// The least gain of elpd over a reference, in standard errors, with its standard error.

@@ -11,6 +11,7 @@ use super::normal_equations::NormalEquations;
 use super::nuisance::Nuisance;
 use super::profile;
 use super::rows::{Fits, Place};
+use super::speed_exponent::{self, SpeedExponent};
 use super::structure;
 use super::study::FitInputs;
 use super::verdict::{
@@ -88,6 +89,12 @@ impl Selection {
         quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()
     }
 
+    /// The power of the speed in the answer's law, or in that of the best answer that failed a test.
+    pub fn form(&self, study: &FitInputs) -> Option<SpeedExponent> {
+        let row = self.ruling.set.first().copied().or(self.withheld.first().map(|w| w.0))?;
+        speed_exponent::form(&self.fits.candidates.around.about(study), &self.fits, row)
+    }
+
     /// The effect of measuring that this selection names alone.
     fn establishes(&self) -> Option<usize> {
         let effects = &self.entries[*self.ruling.set.first()?].effects;
@@ -109,8 +116,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
         let next = attempt(&wide, study, asked, &Later(progress))?;
-        // As for every effect of measuring: the density decides, and the error is less.
-        let better = next.entries[next.ruling.model].beats[0] && next.nested.reduction().0 > 0.0;
+        let better = next.entries[next.ruling.model].beats[0] && next.nested.is_certain();
         if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
             || !better
             || next.standing.found.iter().any(|found| !found.certain)
@@ -201,7 +207,9 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
     let test = |row: usize| {
         let (nested, assessment) = (nested(row), with.assess(fits, table, entries, row));
         let tests = NameTests { study: with.study, table, entries, contenders: &contenders, nested: &nested };
-        let failed = tests.failed(row, &assessment);
+        let mut failed = tests.failed(row, &assessment);
+        let form = speed_exponent::form(with.study, fits, row).filter(|form| form.excluded);
+        failed.extend(form.and_then(|form| form.said()));
         (nested, assessment, failed)
     };
     let mut results = Vec::new();
@@ -223,7 +231,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
     if let Some(row) = leading_law(entries) {
         let (nested, assessment, failed) = test(row);
         tested.law = Some((row, failed.is_empty()));
-        tested.refuted = (assessment.impossible || !nested.is_certain(false)).then_some(row);
+        tested.refuted = (assessment.impossible || !nested.is_certain()).then_some(row);
         results.push((row, nested, assessment));
         if !failed.is_empty() {
             withheld.push((row, failed));

@@ -6,7 +6,7 @@
 use super::evidence::EvidenceTable;
 use super::laws::laws;
 use super::left_out::{Contender, LawColumn};
-use super::select::Selection;
+use super::rows::Fits;
 use super::study::FitInputs;
 use super::words::digits;
 use crate::sand::mechanism::CATALOG;
@@ -44,14 +44,12 @@ impl SpeedExponent {
     }
 }
 
-/// Replaces the power of the speed in the best cause's law by other powers, and compares them. None if the law has no such power, or if
-/// these data cannot test laws.
-pub fn form(study: &FitInputs, selection: &Selection) -> Option<SpeedExponent> {
-    let lead = selection.ruling.set.first().copied().or(selection.withheld.first().map(|w| w.0))?;
-    let best = selection.fits.fit(lead);
-    let [own] = best.ids[..] else { return None };
+/// Replaces the power of the speed in the law of the cause of `row` by other powers, and compares them. None if the row has not one cause
+/// with such a power, or if these data cannot test laws.
+pub fn form(study: &FitInputs, fits: &Fits, row: usize) -> Option<SpeedExponent> {
+    let [own] = fits.fit(row).ids[..] else { return None };
     let (id, law) = (CATALOG[own].id, CATALOG[own].exponent?);
-    let candidates = &selection.fits.candidates;
+    let candidates = &fits.candidates;
     let (study, fit) = (&candidates.about_base(study), &candidates.base);
     let laws = laws(study, fit);
     let power = |term: &Term| {

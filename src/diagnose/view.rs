@@ -3,7 +3,7 @@
 use super::differences::NORMAL;
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, slope};
-use super::gate::FoundEffect;
+use super::gate::{FoundEffect, far_coefficient};
 use super::gauss_newton::at_bound;
 use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
@@ -20,7 +20,7 @@ use super::select::Selection;
 use super::study::FitInputs;
 use super::verdict::{Effect, Role, Verdict, Written};
 use super::words::{after, digits, of};
-use super::{measured, misfit, next_experiment, speed_exponent, strength};
+use super::{measured, misfit, next_experiment, strength};
 use crate::number::dot;
 use crate::sand::mechanism::{CATALOG, Side};
 use crate::student;
@@ -81,7 +81,7 @@ impl ReportView<'_> {
             terms: s.standing.law.iter().map(|law| self.term(law)).collect(),
             upper_limits: self.upper_limits(&renewed, &without.untestable),
             degrees_of_freedom: Some(s.table.degrees),
-            form: speed_exponent::form(&s.fits.candidates.around.about(study), s),
+            form: s.form(study),
             free_powers: s.standing.powers.clone(),
             next_experiment: self.next_experiment(&without.untestable),
             noise: Some(NoiseSummary {
@@ -190,7 +190,7 @@ impl ReportView<'_> {
         let of_several = "these data cannot tell of which channel or shape; the one that predicts best is written";
         warnings.extend(self.selection.is_of_several().then(|| of_several.to_string()));
         let own = &self.selection.standing;
-        warnings.extend(far_coefficients(&own.fit));
+        warnings.extend(far_coefficient(&own.fit).map(|said| format!("{ALARM}{said}")));
         let nuisances = own.nuisances.iter();
         let at_end = nuisances.zip(own.fit.deviations.iter().skip(COEFFICIENTS));
         let at_end = at_end.filter(|(n, d)| n.sd == n.stated_sd && at_bound(**d));
@@ -391,10 +391,4 @@ impl ReportView<'_> {
         let of_interest: Vec<(usize, String)> = of_interest.filter_map(|u| Some((id(u)?, u.why.clone()))).collect();
         next_experiment::next(self.study, self.selection, &noise, &of_interest)
     }
-}
-
-/// A warning if the fit needs coefficients that deviate by more than three of their stated standard deviations: our choice.
-fn far_coefficients(fit: &Fit) -> Option<String> {
-    let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
-    (furthest.abs() > 3.0).then(|| format!("{ALARM}a stress coefficient moved by {furthest:+.1} stated sd"))
 }
