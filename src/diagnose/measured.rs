@@ -23,6 +23,12 @@ const MOST: [usize; 2] = [10, 3];
 /// because each fit takes time.
 const FAR_FITTED: usize = 3;
 
+/// If a coefficient moves by more than this many prior standard deviations, the effects of measuring are computed again in the sand of the
+/// fit: our choice. By default that is a tenth of the forces, and these effects are proportional to them.
+const OTHER_SAND: f64 = 0.2;
+/// Largest number of sands in which they are computed: our choice; most fits need one or two.
+const SANDS: usize = 4;
+
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
     pub fit: Fit,
@@ -101,12 +107,20 @@ pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<Measur
 /// A fit with a wide prior for the nuisance `index`, begun at `from`; abandoned if it is unlikely to reach the objective `best`.
 fn widened(study: &FitInputs, mut nuisances: Vec<Nuisance>, (index, from): (usize, Fit), best: f64) -> MeasuredFit {
     nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
-    let now = study.with_nuisances(nuisances);
-    let at = now.fit_from(&[&from]).swap_remove(0);
-    let (nuisances, at) = settled_nuisances(now, &from, at, best);
-    let last = study.with_nuisances(nuisances);
-    let fit = last.fit_from(&[&at]).swap_remove(0);
-    MeasuredFit { fit, nuisances: last.nuisances }
+    let mut now = study.with_nuisances(nuisances);
+    let mut fit = now.fit_from(&[&from]).swap_remove(0);
+    let mut sand = from;
+    for _ in 0..SANDS {
+        let (nuisances, at) = settled_nuisances(now, &sand, fit, best);
+        now = study.with_nuisances(nuisances);
+        fit = now.fit_from(&[&at]).swap_remove(0);
+        let moved = (0..COEFFICIENTS).any(|k| (fit.deviations[k] - sand.deviations[k]).abs() > OTHER_SAND);
+        if !moved || study.model.roughness().is_some() {
+            break;
+        }
+        sand = fit.clone();
+    }
+    MeasuredFit { fit, nuisances: now.nuisances }
 }
 
 /// The one effect of measuring that, within its stated prior, alone gives what all of them give to the plain model. None if they give

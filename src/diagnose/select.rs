@@ -223,6 +223,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
             break;
         }
         withheld.push((row, failed));
+        tested.failed.push(row);
         // If the second cause of a pair fails, one cause may stand alone; if that fails, the next best one.
         let tried = |k: &usize| withheld.iter().any(|w: &(usize, Vec<String>)| w.0 == *k);
         let next = gate::singles(entries).filter(|k| !tried(k));
@@ -237,7 +238,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
             withheld.push((row, failed));
         }
     }
-    let mut ruling = with_one_name(verdict(entries, tested), fits, entries);
+    let mut ruling = with_one_name(verdict(entries, &tested), fits, entries);
     // Sand of another strength is a recalibration with one factor, so the same test holds for both.
     let factor = ruling.verdict == Verdict::Named && is_strength(&entries[ruling.model].effects);
     if (factor || ruling.verdict == Verdict::Recalibrated)
@@ -246,7 +247,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         withheld.push((ruling.model, vec![left]));
         tested.leading = tested.leading.map(|(row, passes)| (row, passes && !factor));
         tested.uneven = true;
-        ruling = verdict(entries, tested);
+        ruling = verdict(entries, &tested);
     }
     // If nothing is named, models that passed all tests are listed, too.
     let passed = [tested.leading, tested.law].into_iter().flatten().filter(|t| t.1 && t.0 != ruling.model);

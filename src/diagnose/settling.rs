@@ -12,10 +12,6 @@ const BENDS: usize = 6;
 /// of the nuisance is right to a fiftieth of what its prior allows.
 const STRAIGHT: f64 = 0.02;
 
-/// If a coefficient moves by more than this many prior standard deviations, nuisances are computed again in the sand of the fit: our
-/// choice. By default that is a tenth of the forces, and a nuisance's effect is proportional to them.
-const OTHER_SAND: f64 = 1.0;
-
 /// Start values of far fits, in stated standard deviations: our choice; between them Gauss-Newton steps converge.
 pub const FAR: [f64; 5] = [0.0, 5.0, -5.0, 10.0, -10.0];
 
@@ -60,31 +56,24 @@ pub fn bound(fit: &Fit) -> bool {
     fit.deviations[COEFFICIENTS..].iter().any(|d| at_bound(*d))
 }
 
-/// The nuisances of a study, linearised at their estimates in the sand of `fit`, from the fit `at` with them; and the fit there. If the
-/// sand of a smooth model changes much on the way, they are linearised in its new sand. Fit and nuisances are adjusted in turns, because the first estimate is inaccurate if a filter is slow compared with
+/// The nuisances of a study, linearised at their estimates about `fit`, from the fit `at` with them; and the fit there. Fit and
+/// nuisances are adjusted to each other in turns, because the first estimate is inaccurate if a filter is slow compared with
 /// the fastest trials. A step that does not help is halved. A fit that is unlikely to reach the objective `best` is abandoned.
 pub fn settled_nuisances(mut now: FitInputs, fit: &Fit, mut at: Fit, best: f64) -> (Vec<Nuisance>, Fit) {
     let mut least = f64::INFINITY;
     let mut before = fit.clone();
     before.deviations.resize(at.deviations.len(), 0.0);
-    let mut sand = before.clone();
-    let smooth = now.model.roughness().is_none();
     for _ in 0..BENDS {
-        let other = smooth && (0..COEFFICIENTS).any(|k| (at.deviations[k] - sand.deviations[k]).abs() > OTHER_SAND);
         let moved = now.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
         let curved =
             |n: &Nuisance, d: f64| n.id == "lowpass" || n.id.starts_with("imu") || d.abs() * n.sd > n.nearly_linear;
         let turned = moved.filter(|((n, d), _)| curved(n, **d)).map(|((n, a), b)| (a - b).abs() * n.sd / n.stated_sd);
-        if !other && turned.fold(0.0, f64::max) < STRAIGHT {
+        if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
-        }
-        if other {
-            // Objectives in another sand are not compared with those before.
-            (sand, least) = (at.clone(), f64::INFINITY);
         }
         // The effect of a filter depends on its time constant, and hardly on the small changes of the other parameters
         // in these rounds.
-        let next = now.with_nuisances(now.nuisances_of(&sand, &at));
+        let next = now.with_nuisances(now.nuisances_of(fit, &at));
         let there = next.restated(&at);
         if there.objective > least {
             let half = at.deviations.iter().zip(&before.deviations).map(|(a, b)| 0.5 * (a + b)).collect();
@@ -100,5 +89,5 @@ pub fn settled_nuisances(mut now: FitInputs, fit: &Fit, mut at: Fit, best: f64) 
         at = next.fit_from(&[&there]).swap_remove(0);
         now = next;
     }
-    (now.nuisances_of(&sand, &at), at)
+    (now.nuisances_of(fit, &at), at)
 }

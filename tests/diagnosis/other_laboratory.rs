@@ -77,6 +77,31 @@ fn a_leg_with_a_wrong_zero_is_no_slope_alone() {
     assert!(named || sets.contains(&&["joint_zero".to_string()][..]), "{}", r.summary);
 }
 
+/// The zero is off by 0.18 rad. A fit of it began in sand of the wrong strength, and its effect was computed there, so a slope had a name.
+#[test]
+fn a_far_zero_of_a_leg_is_found_in_its_own_sand() {
+    let r = elsewhere("leg_far_zero");
+    assert!(r.ambiguity_set.contains(&vec!["joint_zero".to_string()]), "{}", r.summary);
+}
+
+/// Added mass that data hardly tell from a drag: they exclude the drag's square of the speed, and this drag was named.
+#[test]
+fn an_excluded_exponent_takes_the_name() {
+    let r = elsewhere("added_mass_or_drag");
+    assert!(r.causes.is_empty() && r.form.as_ref().is_some_and(|form| form.excluded), "{}", r.summary);
+    let why = r.withheld.iter().filter(|w| w.ids == ["inertial_drag"]).flat_map(|w| &w.why);
+    assert!(why.clone().any(|why| why.contains("the data prefer the power")), "{}", r.summary);
+}
+
+/// Sand of another law: the cause that was named needed a coefficient 5 stated standard deviations away from its stated value.
+#[test]
+fn a_coefficient_that_contradicts_its_statement_takes_the_name() {
+    let r = elsewhere("another_law");
+    assert!(r.causes.is_empty(), "{}", r.summary);
+    let why = r.withheld.iter().filter(|w| w.ids == ["friction_clip"]).flat_map(|w| &w.why);
+    assert!(why.clone().any(|why| why.contains("stated sd beside it")), "{}", r.summary);
+}
+
 /// A load cell that loses 25 % from the first trial to the last one is no weaker sand. Trials are in random order.
 #[test]
 fn a_load_cell_that_drifts_is_named() {
