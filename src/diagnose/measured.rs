@@ -23,12 +23,6 @@ const MOST: [usize; 2] = [10, 3];
 /// because each fit takes time.
 const FAR_FITTED: usize = 3;
 
-/// If a coefficient moves by more than this many prior standard deviations, the effects of measuring are computed again in the sand of the
-/// fit: our choice. By default that is a tenth of the forces, and these effects are proportional to them.
-const OTHER_SAND: f64 = 0.2;
-/// Largest number of sands in which they are computed: our choice; most fits need one or two.
-const SANDS: usize = 4;
-
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
     pub fit: Fit,
@@ -58,8 +52,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     promising.retain(|p| p.1 > WORTH || late(p.0));
     promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
     promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
-    // Coefficients and other effects may stand in for a large effect that is not linear, so its fit begins anew, without any of them,
-    // and at larger values.
+    // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
     let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
@@ -71,15 +64,15 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     let made = parallel::map(&promising, |&(index, _)| {
         let mut from = base.clone();
         from.deviations[COEFFICIENTS + index] /= WIDE;
-        let mut best = widened(study, study.nuisances.clone(), (index, from), f64::INFINITY);
+        let mut best = widened(study, base, study.nuisances.clone(), (index, from), f64::INFINITY);
         let curved = study.nuisances[index].nearly_linear.is_finite();
         for &start in FAR.iter().filter(|_| curved && far(index)) {
             let mut still = base.clone();
-            still.deviations.fill(0.0);
+            still.deviations[COEFFICIENTS..].fill(0.0);
             still.deviations[COEFFICIENTS + index] = start;
-            let nuisances = study.nuisances_of(&still, &still);
+            let nuisances = study.nuisances_of(base, &still);
             still.deviations[COEFFICIENTS + index] /= WIDE;
-            let anew = widened(study, nuisances, (index, still), best.fit.objective);
+            let anew = widened(study, base, nuisances, (index, still), best.fit.objective);
             if anew.fit.objective < best.fit.objective {
                 best = anew;
             }
@@ -105,22 +98,20 @@ pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<Measur
 }
 
 /// A fit with a wide prior for the nuisance `index`, begun at `from`; abandoned if it is unlikely to reach the objective `best`.
-fn widened(study: &FitInputs, mut nuisances: Vec<Nuisance>, (index, from): (usize, Fit), best: f64) -> MeasuredFit {
+fn widened(
+    study: &FitInputs,
+    base: &Fit,
+    mut nuisances: Vec<Nuisance>,
+    (index, from): (usize, Fit),
+    best: f64,
+) -> MeasuredFit {
     nuisances[index] = nuisances[index].with_prior(WIDE * nuisances[index].stated_sd);
-    let mut now = study.with_nuisances(nuisances);
-    let mut fit = now.fit_from(&[&from]).swap_remove(0);
-    let mut sand = from;
-    for _ in 0..SANDS {
-        let (nuisances, at) = settled_nuisances(now, &sand, fit, best);
-        now = study.with_nuisances(nuisances);
-        fit = now.fit_from(&[&at]).swap_remove(0);
-        let moved = (0..COEFFICIENTS).any(|k| (fit.deviations[k] - sand.deviations[k]).abs() > OTHER_SAND);
-        if !moved || study.model.roughness().is_some() {
-            break;
-        }
-        sand = fit.clone();
-    }
-    MeasuredFit { fit, nuisances: now.nuisances }
+    let now = study.with_nuisances(nuisances);
+    let at = now.fit_from(&[&from]).swap_remove(0);
+    let (nuisances, at) = settled_nuisances(now, base, at, best);
+    let last = study.with_nuisances(nuisances);
+    let fit = last.fit_from(&[&at]).swap_remove(0);
+    MeasuredFit { fit, nuisances: last.nuisances }
 }
 
 /// The one effect of measuring that, within its stated prior, alone gives what all of them give to the plain model. None if they give

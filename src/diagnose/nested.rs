@@ -47,8 +47,21 @@ impl Nested {
 
     /// Are the gain of elpd and the reduction of the error above 0 beyond their 95 % intervals?
     pub fn is_certain(&self) -> bool {
-        let ([gain, error], (_, [low, _])) = (self.least(), self.reduction());
-        gain > NORMAL * error && low > 0.0
+        self.is_denser() && self.reduction().1[0] > 0.0
+    }
+
+    /// Says that this prediction is not certain.
+    pub fn uncertain(&self) -> String {
+        let ([gain, error], (_, [low, high])) = (self.least(), self.reduction());
+        let said = format!("{:.0} to {:.0} %, elpd {gain:+.0} ± {error:.0}", 100.0 * low, 100.0 * high);
+        let said = said.replace('-', "−");
+        format!("chosen anew without the predicted conditions, it lowers the error by {said}, which is not certain")
+    }
+
+    /// Is the gain of elpd above 0 beyond its 95 % interval, and the error less?
+    pub fn is_denser(&self) -> bool {
+        let [gain, error] = self.least();
+        gain > NORMAL * error && self.reduction().0 > 0.0
     }
 
     /// The least gain of elpd over a reference, in standard errors, with its standard error.

@@ -4,12 +4,10 @@ use super::compared::{Compared, Role, base};
 
 /// Other explanations that no model with the effects of `k` beats, or that the best model of all does not beat: the table of a report
 /// has the differences to this one. Models that have the effects of `k`, and laws that repeat its effect and do not beat it, are no rivals.
-/// Models that `failed` a test beat nothing.
-pub fn rivals(table: &[Compared], k: usize, failed: &[usize]) -> Vec<usize> {
+pub fn rivals(table: &[Compared], k: usize) -> Vec<usize> {
     let base = base(table);
     let with: Vec<usize> = (0..table.len())
         .filter(|&w| matches!(table[w].role, Role::Causes | Role::Beside) && table[w].contains(&table[k]))
-        .filter(|w| !failed.contains(w))
         .collect();
     let models = (0..table.len()).filter(|&m| table[m].role != Role::Absent);
     let best = models.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));

@@ -109,14 +109,14 @@ impl Selection {
 /// Runs the whole selection. Effects of measuring are marginalised within their stated priors. If one of them is the answer because it
 /// is far larger than stated, it becomes a part of every model, and the causes are compared again.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
-    let mut selection = attempt(study, study, asked, progress)?;
+    let mut selection = attempt(study, study, asked, false, progress)?;
     let mut nuisances = study.nuisances.clone();
     for _ in 0..ESTABLISHED {
         let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
-        let next = attempt(&wide, study, asked, &Later(progress))?;
-        let better = next.entries[next.ruling.model].beats[0] && next.nested.is_certain();
+        let next = attempt(&wide, study, asked, false, &Later(progress))?;
+        let better = next.entries[next.ruling.model].beats[0] && next.nested.reduction().1[0] > 0.0;
         if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
             || !better
             || next.standing.found.iter().any(|found| !found.certain)
@@ -124,6 +124,10 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
             break;
         }
         selection = next;
+    }
+    // An effect of measuring that did not become a part of all models must be certain as it is.
+    if selection.establishes().is_some() && !selection.nested.is_certain() {
+        selection = attempt(study, study, asked, true, &Later(progress))?;
     }
     Ok(selection)
 }
@@ -141,8 +145,14 @@ impl Progress for Later<'_> {
     }
 }
 
-/// Makes all fits and compares them. `stated` has the stated priors.
-fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
+/// Makes all fits and compares them. `stated` has the stated priors. See [`Judging::strict`].
+fn attempt(
+    study: &FitInputs,
+    stated: &FitInputs,
+    asked: &SearchSpace,
+    strict: bool,
+    progress: &dyn Progress,
+) -> Result<Selection> {
     let mut candidates = candidates(study, asked, progress)?;
     progress.report(0.8, "laws in the data")?;
     let around = candidates.around.clone();
@@ -156,7 +166,7 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
     progress.report(0.85, "held-out conditions")?;
     let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());
     let entries = entries(&renewed, &table, &fits, asked);
-    let with = Judging { study: &renewed, asked, profiled: profiled.as_deref() };
+    let with = Judging { study: &renewed, asked, strict, profiled: profiled.as_deref() };
     let Judged { ruling, standing, withheld, nested } = judged(&with, &fits, &table, &entries);
     drop(renewed);
     Ok(Selection { fits, table, entries, ruling, standing, withheld, nested, unseen: asked.unseen.to_vec() })
@@ -185,6 +195,8 @@ struct Judging<'a> {
     /// The study with the noise about the best model.
     study: &'a FitInputs<'a>,
     asked: &'a SearchSpace<'a>,
+    /// Must the error with an effect of measuring be certainly less, too?
+    strict: bool,
     /// Intervals of the leading fit's values, for models whose slopes are not reliable.
     profiled: Option<&'a [[f64; 2]]>,
 }
@@ -208,7 +220,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         let (nested, assessment) = (nested(row), with.assess(fits, table, entries, row));
         let tests = NameTests { study: with.study, table, entries, contenders: &contenders, nested: &nested };
         let mut failed = tests.failed(row, &assessment);
-        let form = speed_exponent::form(with.study, fits, row).filter(|form| form.excluded);
+        let form = speed_exponent::form(with.study, fits, row).filter(SpeedExponent::is_refuted);
         failed.extend(form.and_then(|form| form.said()));
         (nested, assessment, failed)
     };
@@ -223,7 +235,6 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
             break;
         }
         withheld.push((row, failed));
-        tested.failed.push(row);
         // If the second cause of a pair fails, one cause may stand alone; if that fails, the next best one.
         let tried = |k: &usize| withheld.iter().any(|w: &(usize, Vec<String>)| w.0 == *k);
         let next = gate::singles(entries).filter(|k| !tried(k));
@@ -238,7 +249,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
             withheld.push((row, failed));
         }
     }
-    let mut ruling = with_one_name(verdict(entries, &tested), fits, entries);
+    let mut ruling = with_one_name(verdict(entries, tested), fits, entries);
     // Sand of another strength is a recalibration with one factor, so the same test holds for both.
     let factor = ruling.verdict == Verdict::Named && is_strength(&entries[ruling.model].effects);
     if (factor || ruling.verdict == Verdict::Recalibrated)
@@ -247,7 +258,16 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         withheld.push((ruling.model, vec![left]));
         tested.leading = tested.leading.map(|(row, passes)| (row, passes && !factor));
         tested.uneven = true;
-        ruling = verdict(entries, &tested);
+        ruling = verdict(entries, tested);
+    }
+    let measuring = entries[ruling.model].effects.iter().all(|e| matches!(e, Effect::Measuring(_)));
+    if with.strict && ruling.verdict == Verdict::Named && measuring {
+        let own = nested(ruling.model);
+        if !own.is_certain() {
+            withheld.push((ruling.model, vec![own.uncertain()]));
+            tested.leading = tested.leading.map(|(row, _)| (row, false));
+            ruling = verdict(entries, tested);
+        }
     }
     // If nothing is named, models that passed all tests are listed, too.
     let passed = [tested.leading, tested.law].into_iter().flatten().filter(|t| t.1 && t.0 != ruling.model);

@@ -30,6 +30,12 @@ pub struct SpeedExponent {
 }
 
 impl SpeedExponent {
+    /// Do the data exclude the law's own power, and not all that are far from it? Real grains exclude the 2 of a drag for 1.5, because all
+    /// their forces grow with the speed a little; that refutes no drag.
+    pub fn is_refuted(&self) -> bool {
+        self.excluded && !self.told_apart
+    }
+
     /// A clause for the report's sentence; None if the data agree with the law's power and exclude other powers.
     pub fn said(&self) -> Option<String> {
         let Self { id, law, found, ci95: [low, high], .. } = self;

@@ -59,12 +59,10 @@ pub struct Ruling {
 }
 
 /// The models that may be the answer, and whether they passed the tests that a name needs beside the table.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Tested {
     pub leading: Option<(usize, bool)>,
     pub law: Option<(usize, bool)>,
-    /// Causes that failed a test.
-    pub failed: Vec<usize>,
     /// A law that sand cannot follow, or that does not predict better if it is chosen anew: it explains nothing.
     pub refuted: Option<usize>,
     /// Is the rest that fitted coefficients leave more than noise? Then the law does not fit.
@@ -134,13 +132,13 @@ pub fn passed_over(table: &[Compared], k: usize) -> String {
 }
 
 /// The verdict. The first entry of the table is the plain model.
-pub fn verdict(table: &[Compared], tested: &Tested) -> Ruling {
+pub fn verdict(table: &[Compared], tested: Tested) -> Ruling {
     let passed = |of: Option<(usize, bool)>| of.filter(|o| o.1).map(|o| o.0).filter(|k| is_main(&table[*k]));
     let (cause, law) = (passed(tested.leading).filter(|c| !is_beaten(table, *c)), passed(tested.law));
     // Data in which a free law beats the cause whose effect it repeats reject the form of this cause.
     let better_law = |c: usize| law.is_some_and(|l| table[l].beats[c]);
     if let Some(cause) = cause.filter(|c| !better_law(*c)) {
-        return named(table, cause, tested);
+        return named(table, cause, tested.refuted);
     }
     let beaten = |l: &usize| tested.leading.is_some_and(|(c, _)| table[c].beats[*l]);
     if let Some(model) = law.filter(|l| !beaten(l)) {
@@ -189,9 +187,9 @@ fn unexplained(table: &[Compared], uneven: bool) -> Ruling {
 }
 
 /// The verdict if `cause` passed all tests. A law that predicts as well is a rival like every other.
-fn named(table: &[Compared], cause: usize, tested: &Tested) -> Ruling {
+fn named(table: &[Compared], cause: usize, refuted: Option<usize>) -> Ruling {
     let mut set = vec![cause];
-    set.extend(rivals(table, cause, &tested.failed).into_iter().filter(|r| Some(*r) != tested.refuted));
+    set.extend(rivals(table, cause).into_iter().filter(|r| Some(*r) != refuted));
     set.extend(table[cause].alike.iter().filter(|k| !set.contains(k)).copied().collect::<Vec<_>>());
     // The best that may be named comes first.
     if let Some(place) = set.iter().position(|&k| !table[k].unnamed && table[k].role != Role::Law) {
@@ -242,7 +240,7 @@ mod tests {
             law: leading_law(table).map(|k| (k, passes)),
             ..Tested::default()
         };
-        let Ruling { verdict, written, model, set } = verdict(table, &tested);
+        let Ruling { verdict, written, model, set } = verdict(table, tested);
         (verdict, written, model, set)
     }
 
@@ -265,19 +263,7 @@ mod tests {
         let better =
             table(vec![plain(-120.0), entry(Base, &[], -100.0), entry(Causes, &[0], 0.0), entry(Causes, &[1], -50.0)]);
         let tested = Tested { leading: Some((3, true)), ..Tested::default() };
-        assert_eq!(verdict(&better, &tested).set, Vec::<usize>::new());
-        // A pair that failed a test does not beat a rival of its cause.
-        let pair = table(vec![
-            plain(-120.0),
-            entry(Base, &[], -100.0),
-            entry(Causes, &[0], -4.0),
-            entry(Causes, &[0, 1], 0.0),
-            entry(Causes, &[2], -12.0),
-        ]);
-        let mut tested = Tested { leading: Some((2, true)), ..Tested::default() };
-        assert_eq!(verdict(&pair, &tested).set, vec![2]);
-        tested.failed.push(3);
-        assert_eq!(verdict(&pair, &tested).set, vec![2, 4]);
+        assert_eq!(verdict(&better, tested).set, Vec::<usize>::new());
         // What the best model does not beat beyond its own standard error is a rival, even if the cause alone beats it.
         let mut near = table(vec![
             plain(-120.0),
@@ -335,8 +321,8 @@ mod tests {
         assert_eq!(ruled(&all, true), (Verdict::Recalibrated, Written::Recalibrated, 1, vec![]));
         // What fitted coefficients leave must be noise, even if nothing predicts better.
         let uneven = Tested { uneven: true, ..Tested::default() };
-        assert_eq!(verdict(&all, &uneven).verdict, Verdict::NoneOfThese);
-        assert_eq!(verdict(&all, &uneven).written, Written::Recalibrated);
+        assert_eq!(verdict(&all, uneven).verdict, Verdict::NoneOfThese);
+        assert_eq!(verdict(&all, uneven).written, Written::Recalibrated);
         all[1].misfit = 9.0;
         assert_eq!(ruled(&all, true), (Verdict::NoneOfThese, Written::Recalibrated, 1, vec![]));
         // What predicts better than the plain model is written, even if its errors are larger.

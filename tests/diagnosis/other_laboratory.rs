@@ -77,13 +77,6 @@ fn a_leg_with_a_wrong_zero_is_no_slope_alone() {
     assert!(named || sets.contains(&&["joint_zero".to_string()][..]), "{}", r.summary);
 }
 
-/// The zero is off by 0.18 rad. A fit of it began in sand of the wrong strength, and its effect was computed there, so a slope had a name.
-#[test]
-fn a_far_zero_of_a_leg_is_found_in_its_own_sand() {
-    let r = elsewhere("leg_far_zero");
-    assert!(r.ambiguity_set.contains(&vec!["joint_zero".to_string()]), "{}", r.summary);
-}
-
 /// Added mass that data hardly tell from a drag: they exclude the drag's square of the speed, and this drag was named.
 #[test]
 fn an_excluded_exponent_takes_the_name() {
