@@ -47,6 +47,8 @@ pub struct Selection {
     pub nested: Nested,
     /// See [`SearchSpace::unseen`].
     pub unseen: Vec<usize>,
+    /// See [`Judging::profiled`].
+    profiled: Option<Vec<[f64; 2]>>,
 }
 
 impl Selection {
@@ -95,6 +97,15 @@ impl Selection {
         speed_exponent::form(&self.fits.candidates.around.about(study), &self.fits, row)
     }
 
+    /// The same fits, judged again: see [`Judging::strict`].
+    fn stricter(self, study: &FitInputs, asked: &SearchSpace) -> Self {
+        let around = self.fits.candidates.around.about(study);
+        let with = Judging { study: &around, asked, strict: true, profiled: self.profiled.as_deref() };
+        let Judged { ruling, standing, withheld, nested } = judged(&with, &self.fits, &self.table, &self.entries);
+        drop(around);
+        Self { ruling, standing, withheld, nested, ..self }
+    }
+
     /// The effect of measuring that this selection names alone.
     fn establishes(&self) -> Option<usize> {
         let effects = &self.entries[*self.ruling.set.first()?].effects;
@@ -109,13 +120,13 @@ impl Selection {
 /// Runs the whole selection. Effects of measuring are marginalised within their stated priors. If one of them is the answer because it
 /// is far larger than stated, it becomes a part of every model, and the causes are compared again.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
-    let mut selection = attempt(study, study, asked, false, progress)?;
+    let mut selection = attempt(study, study, asked, progress)?;
     let mut nuisances = study.nuisances.clone();
     for _ in 0..ESTABLISHED {
         let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
-        let next = attempt(&wide, study, asked, false, &Later(progress))?;
+        let next = attempt(&wide, study, asked, &Later(progress))?;
         let better = next.entries[next.ruling.model].beats[0] && next.nested.reduction().1[0] > 0.0;
         if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
             || !better
@@ -127,7 +138,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     }
     // An effect of measuring that did not become a part of all models must be certain as it is.
     if selection.establishes().is_some() && !selection.nested.is_certain() {
-        selection = attempt(study, study, asked, true, &Later(progress))?;
+        selection = selection.stricter(study, asked);
     }
     Ok(selection)
 }
@@ -145,14 +156,8 @@ impl Progress for Later<'_> {
     }
 }
 
-/// Makes all fits and compares them. `stated` has the stated priors. See [`Judging::strict`].
-fn attempt(
-    study: &FitInputs,
-    stated: &FitInputs,
-    asked: &SearchSpace,
-    strict: bool,
-    progress: &dyn Progress,
-) -> Result<Selection> {
+/// Makes all fits and compares them. `stated` has the stated priors.
+fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
     let mut candidates = candidates(study, asked, progress)?;
     progress.report(0.8, "laws in the data")?;
     let around = candidates.around.clone();
@@ -166,10 +171,11 @@ fn attempt(
     progress.report(0.85, "held-out conditions")?;
     let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());
     let entries = entries(&renewed, &table, &fits, asked);
-    let with = Judging { study: &renewed, asked, strict, profiled: profiled.as_deref() };
+    let with = Judging { study: &renewed, asked, strict: false, profiled: profiled.as_deref() };
     let Judged { ruling, standing, withheld, nested } = judged(&with, &fits, &table, &entries);
     drop(renewed);
-    Ok(Selection { fits, table, entries, ruling, standing, withheld, nested, unseen: asked.unseen.to_vec() })
+    let unseen = asked.unseen.to_vec();
+    Ok(Selection { fits, table, entries, ruling, standing, withheld, nested, unseen, profiled })
 }
 
 /// The plain model, with the stated priors of all effects of measuring.
