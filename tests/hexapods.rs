@@ -338,33 +338,72 @@ fn a_training_begins_with_the_plain_gait() {
     assert!(settings["options"].get("gait_clock").is_none());
 }
 
+/// The teacher of a robot on packed seeds, and a walk with it: the mean velocity forward, to the left [m/s] and yaw [rad/s] after the
+/// first second, of four, under a command.
+struct Taught {
+    blueprint: Blueprint,
+    teacher: Teacher,
+}
+
+impl Taught {
+    fn new(text: &str) -> Self {
+        let mut options = options(text);
+        let model = Blueprint::new(ID, options.clone()).unwrap();
+        let prior = GaitPrior::of(model.task.model(), None, false, None).unwrap().unwrap();
+        options["gait_clock"] = json!(prior.stride.frequency);
+        for name in ["curriculum", "domain_rand"] {
+            options[name] = Value::Null;
+        }
+        let blueprint = Blueprint::new(ID, options).unwrap();
+        let settings = Hyperparameters { gait_prior: 1, ..Hyperparameters::default() };
+        let teacher = Teacher::of(&blueprint, &settings).unwrap().unwrap();
+        Self { blueprint, teacher }
+    }
+
+    fn walk(&self, command: [f64; 3]) -> [f64; 3] {
+        let mut shard = Shard::new(&self.blueprint, 1).unwrap();
+        shard.reset(|_| true, Some(&[0]), |_| None);
+        let info = &self.blueprint.task.spec().info;
+        let columns =
+            ["speed", "lin_vel_y", "ang_vel_yaw"].map(|name| info.iter().position(|c| c.name == name).unwrap());
+        let (mut action, mut mean) = (vec![0.0; shard.actions()], [0.0; 3]);
+        for step in 0..200 {
+            shard.set_command(0, command);
+            self.teacher.act(&shard.rows.observations, &mut action);
+            shard.step(&action);
+            if step >= 50 {
+                (0..3).for_each(|k| mean[k] += f64::from(shard.rows.infos[columns[k]]) / 150.0);
+            }
+        }
+        mean
+    }
+}
+
 /// The gait is asked for what the trials say: it follows a command within a third, where asking for the command itself would not do.
 #[test]
 fn the_gait_follows_its_commands() {
-    let mut options = options(&hexapod(&BESIDE, true, 7.0, 1.0));
-    options["ground"] = "poppy-close".into();
-    let prior =
-        GaitPrior::of(Blueprint::new(ID, options.clone()).unwrap().task.model(), None, false, None).unwrap().unwrap();
-    options["gait_clock"] = json!(prior.stride.frequency);
-    for name in ["curriculum", "domain_rand"] {
-        options[name] = Value::Null;
-    }
-    let blueprint = Blueprint::new(ID, options).unwrap();
-    let settings = Hyperparameters { gait_prior: 1, ..Hyperparameters::default() };
-    let teacher = Teacher::of(&blueprint, &settings).unwrap().unwrap();
-    let speed = blueprint.task.spec().info.iter().position(|column| column.name == "speed").unwrap();
+    let taught = Taught::new(&hexapod(&BESIDE, true, 7.0, 1.0));
     for share in [0.4, 0.8] {
-        let command = share * prior.reached[0];
-        let mut shard = Shard::new(&blueprint, 1).unwrap();
-        shard.reset(|_| true, Some(&[0]), |_| None);
-        let (mut action, mut way) = (vec![0.0; shard.actions()], 0.0);
-        for step in 0..250 {
-            shard.set_command(0, [command, 0.0, 0.0]);
-            teacher.act(&shard.rows.observations, &mut action);
-            shard.step(&action);
-            way += if step < 50 { 0.0 } else { f64::from(shard.rows.infos[speed]) / 200.0 };
-        }
-        assert!((way / command - 1.0).abs() < 0.33, "{way} of {command} m/s, reached {:?}", prior.reached);
+        let command = share * taught.teacher.prior.reached[0];
+        let way = taught.walk([command, 0.0, 0.0])[0];
+        assert!((way / command - 1.0).abs() < 0.33, "{way} of {command} m/s");
+    }
+}
+
+/// A robot whose sides and ends differ follows commands along all six directions, and hardly drifts along the others. If trials went
+/// along three directions, and a drift was left alone, it would turn as it walks to the side.
+#[test]
+fn the_gait_of_an_asymmetric_robot_follows_its_commands() {
+    let mut places = BESIDE;
+    (places[0][0], places[3][0], places[4][0]) = (0.14, 0.12, 0.03);
+    let taught = Taught::new(&hexapod(&places, true, 7.0, 1.0));
+    let reached = taught.teacher.prior.reached;
+    for k in 0..6 {
+        let (axis, mut command) = (k % 3, [0.0; 3]);
+        command[axis] = if k < 3 { 0.5 } else { -0.5 } * reached[axis];
+        let walked = taught.walk(command);
+        let off: Vec<f64> = (0..3).map(|i| (walked[i] - command[i]) / (0.5 * reached[i])).collect();
+        assert!(off.iter().all(|off| off.abs() < 0.25), "{command:?}: {walked:?}, off by {off:?} of a command");
     }
 }
 
@@ -397,4 +436,42 @@ fn the_gait_of_the_mirror_image() {
         assert!(here.iter().any(|a| a.abs() > 0.05));
         mirrored.iter().zip(&there).for_each(|(a, b)| assert!((a - b).abs() < 0.02, "{mirrored:?} {there:?}"));
     }
+}
+
+/// Over many steps shaped tracking terms differ from the plain ones only by what the mean velocity's term has changed from the first to
+/// the last, so no other way to walk becomes better; without a clock they are the same.
+#[test]
+fn shaped_tracking_terms_have_the_same_sum() {
+    let rewards = |clock: Value, shaping: bool| -> Vec<[f64; 2]> {
+        let options = json!({
+            "gait_clock": clock, "tracking_shaping": shaping, "curriculum": null, "domain_rand": null, "ground": "rigid"
+        });
+        let blueprint = Blueprint::new(ID, options).unwrap();
+        let info = &blueprint.task.spec().info;
+        let at = |name: &str| info.iter().position(|column| column.name == name).unwrap();
+        let columns = [at("reward_tracking_lin_vel"), at("reward_tracking_ang_vel")];
+        let mut shard = Shard::new(&blueprint, 1).unwrap();
+        shard.reset(|_| true, Some(&[0]), |_| None);
+        shard.set_command(0, [0.3, 0.0, 0.2]);
+        let mut step = |k: u32| {
+            shard.step(&[(0.3 * f64::from(k).sin()) as f32; 12]);
+            // Rates per second and weights of 1 and 0.5.
+            let term = |i: usize| f64::from(shard.rows.infos[columns[i]]) * 50.0;
+            [term(0), term(1) / 0.5]
+        };
+        (0..120).map(&mut step).collect()
+    };
+    let units = Units::of(Blueprint::new(ID, json!({})).unwrap().task.model()).commanded();
+    let first = [0.3 / units[0], 0.2 / units[2]].map(|off: f64| (-off.powi(2) / 0.1).exp());
+    let (plain, shaped) = (rewards(json!(1.25), false), rewards(json!(1.25), true));
+    let steps_of_a_stride = 50.0 / 1.25;
+    for i in 0..2 {
+        let sum = |all: &[[f64; 2]]| all.iter().map(|terms| terms[i]).sum::<f64>();
+        let change = plain.last().unwrap()[i] - first[i];
+        assert!(change.abs() > 3e-3, "the robot does nothing: {change}");
+        let expected = (steps_of_a_stride - 1.0) * change;
+        let more = sum(&shaped) - sum(&plain);
+        assert!((more - expected).abs() < 1e-3, "term {i}: {more}, expected {expected}");
+    }
+    assert_eq!(rewards(Value::Null, true), rewards(Value::Null, false));
 }

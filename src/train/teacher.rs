@@ -24,6 +24,8 @@ const JOINTS: &str = "joints";
 const ACTION_SCALE: &str = "action_scale";
 const SPEEDS: &str = "max_velocity";
 const SIGMA: &str = "tracking_sigma";
+/// The option by which tracking terms of the mean velocity of a stride count at once what a step changes in it.
+const SHAPING: &str = "tracking_shaping";
 const AIR_TIME: &str = "feet_air_time";
 /// The share of commands along one axis, among the options of commands.
 const ONE_AXIS: &str = "single_axis";
@@ -105,6 +107,7 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
         options[CLOCK_RATE] = old(CLOCK_RATE).unwrap_or_else(|| json!(prior.stride.frequency));
     }
     suggest(options, kept, &["commands", ONE_AXIS], json!(SINGLE_AXIS));
+    suggest(options, kept, &[SHAPING], json!(true));
     if options[SIGMA].is_null() {
         options[SIGMA] = old(SIGMA).unwrap_or_else(|| json!(NARROW));
     }
@@ -347,7 +350,7 @@ impl Teacher {
         };
         format!(
             "the policy imitates a plain {} of {:.1} strides a second for {:.2} M steps and observes a clock of them (--set gait_prior=0: neither); \
-             {larger}unless they are given, reward term feet_air_time is 0, tracking_sigma {NARROW} and commands.single_axis {SINGLE_AXIS}; \
+             {larger}unless they are given, reward term feet_air_time is 0, tracking_sigma {NARROW}, tracking_shaping true and commands.single_axis {SINGLE_AXIS}; \
              {commands}{weaker}",
             self.prior.stride.name(),
             self.prior.stride.frequency,

@@ -155,8 +155,13 @@ impl LeggedEpisode {
     /// `frequency` [Hz] it is the average with a time constant of a stride, because a walking robot sways in each
     /// stride; at 0 it is the velocity itself.
     pub fn tracked(&self, velocity: [f64; 3], frequency: f64) -> [f64; 3] {
-        let share = if frequency > 0.0 { (frequency / CONTROL_RATE).min(1.0) } else { 1.0 };
+        let share = Self::share(frequency);
         std::array::from_fn(|k| self.average[k] + share * (velocity[k] - self.average[k]))
+    }
+
+    /// Share of a step's velocity in the velocity that is tracked, with a clock of `frequency` [Hz].
+    pub fn share(frequency: f64) -> f64 {
+        if frequency > 0.0 { (frequency / CONTROL_RATE).min(1.0) } else { 1.0 }
     }
 
     /// Phase of a clock of `frequency` [Hz] that begins with the episode, in [0, 1).

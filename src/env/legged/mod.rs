@@ -331,6 +331,7 @@ impl Task for LeggedVelocity {
             phase: (self.clock > 0.0).then(|| legged.phase(self.clock)),
             second: &self.second,
             tracked,
+            shaping: setup.options.tracking_shaping.then(|| LeggedEpisode::share(self.clock)),
             legged,
             contacts,
             default,

@@ -43,13 +43,14 @@ options! {
         ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
         max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ";
-        commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
+        commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn repeatedly";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
         tracking_sigma: f64 = TRACKING_SIGMA, [1e-3, 10.0], reset, "width of the tracking terms (legged_gym: 0.25)";
+        tracking_shaping: bool = false, reset, "with gait_clock: tracking terms count a step's change of the mean velocity at once";
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), reset, "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
-        default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad], in place of the robot's";
-        stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad], in place of the robot's";
-        damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad], in place of the robot's";
+        default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad]";
+        stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad]";
+        damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad]";
         action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
         joints: String = JOINTS[0].into(), "joints that actions move: all or legs; the others hold their default position";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";

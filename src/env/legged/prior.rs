@@ -26,6 +26,8 @@ const LIFTS: [f64; 3] = [0.2, 0.4, 0.6];
 /// choice.
 const ASKED: [f64; 3] = [0.25, 0.5, 1.0];
 const COMPARED: f64 = 0.5;
+/// The trial, of [`ASKED`], that shows the drift: our choice, the middle one.
+const DRIFTS: usize = 1;
 /// A wave, or larger steps, must be better than the tripod by this factor: our choice.
 const BETTER: f64 = 1.2;
 /// Longest stride that is tried if a shorter one is among [`FREQUENCIES`] [s]: our choice, twice the 0.29 s to which the learner's
@@ -56,10 +58,13 @@ pub struct GaitPrior {
     pub stride: LegStride,
     /// The ends of the commands' default ranges forward, to the left [m/s] and yaw [rad/s].
     ends: [f64; 3],
-    /// The greatest speeds that it reaches, at least [`LEAST`] of `ends`.
+    /// The greatest speeds that it reaches along each axis, the mean of both directions, at least [`LEAST`] of `ends`.
     pub reached: [f64; 3],
-    /// What it reaches along each direction if it is asked for [`ASKED`] of `ends`. It slips, and its joints come to their ends.
-    curves: [[f64; ASKED.len()]; 3],
+    /// What it reaches along each of [`DIRECTIONS`] if it is asked for [`ASKED`] of `ends`. It slips, and its joints come to their ends.
+    curves: [[f64; ASKED.len()]; DIRECTIONS.len()],
+    /// What it does besides when it moves along each of [`DIRECTIONS`]: velocities for each unit of speed along it. A gait to the side
+    /// may also turn.
+    drifts: [[f64; 3]; DIRECTIONS.len()],
     /// The speed forward that it really reaches, if that is less than `reached` [m/s].
     pub slow: Option<f64>,
     /// How well it walks: the sum of the speeds that it really reaches along all directions, in units of `ends`.
@@ -68,6 +73,13 @@ pub struct GaitPrior {
     driven: Vec<(usize, f64)>,
     joints: usize,
 }
+
+/// An axis (forward, to the left, yaw) and the sign of the velocity along it.
+type Direction = (usize, f64);
+/// All directions. Robots differ in front and back, and many files in left and right.
+const DIRECTIONS: [Direction; 6] = [(0, 1.0), (1, 1.0), (2, 1.0), (0, -1.0), (1, -1.0), (2, -1.0)];
+/// The directions with which strides are compared.
+const FIRST: usize = 3;
 
 /// A stride, and the speed that it is asked for, in units of the default ranges' ends.
 type Trial = (LegStride, f64);
@@ -82,25 +94,50 @@ impl GaitPrior {
         let ends = Units::of(model).commanded();
         let strides = strides(model, tree, &gait, clock);
         let (stride, driven) = (strides[0], driven(tree, action_scale, legs).by_actions);
-        let (curves, joints) = ([[0.0; ASKED.len()]; 3], tree.joints());
-        let mut own = Self { gait, stride, ends, reached: [0.0; 3], curves, slow: None, score: 0.0, driven, joints };
-        let all = own.trials(model, tree, &strides.iter().map(|stride| (*stride, COMPARED)).collect::<Vec<Trial>>())?;
-        let score =
-            |k: usize| own.score(&all[k]) * if strides[k].order == StepOrder::Alternating { BETTER } else { 1.0 };
+        let (curves, drifts) = ([[0.0; ASKED.len()]; DIRECTIONS.len()], [[0.0; 3]; DIRECTIONS.len()]);
+        let joints = tree.joints();
+        let mut own =
+            Self { gait, stride, ends, reached: [0.0; 3], curves, drifts, slow: None, score: 0.0, driven, joints };
+        let compared: Vec<Trial> = strides.iter().map(|stride| (*stride, COMPARED)).collect();
+        let all = own.trials(model, tree, &compared, &DIRECTIONS[..FIRST])?;
+        let score = |k: usize| {
+            own.score(&std::array::from_fn(|axis| all[k][axis][axis]))
+                * if strides[k].order == StepOrder::Alternating { BETTER } else { 1.0 }
+        };
         let best = (0..strides.len()).max_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0);
         own.stride = strides[best];
-        let reached = own.trials(model, tree, &ASKED.map(|share| (own.stride, share)))?;
-        own.curves = std::array::from_fn(|k| std::array::from_fn(|i| reached[i][k]));
-        let most = own.curves.map(|curve| curve.into_iter().fold(0.0, f64::max));
+        let mut reached = own.trials(model, tree, &ASKED.map(|share| (own.stride, share)), &DIRECTIONS)?;
+        if let Ok(symmetry) = Symmetry::of(tree) {
+            reached.iter_mut().for_each(|velocities| make_symmetric(velocities, symmetry.sides));
+        }
+        let along = |d: usize, velocity: [f64; 3]| (DIRECTIONS[d].1 * velocity[DIRECTIONS[d].0]).max(0.0);
+        own.curves = std::array::from_fn(|d| std::array::from_fn(|i| along(d, reached[i][d])));
+        own.drifts = std::array::from_fn(|d| own.drift(d, reached[DRIFTS][d]));
+        let along = own.curves.map(|curve| curve.into_iter().fold(0.0, f64::max));
+        let most: [f64; FIRST] = std::array::from_fn(|k| 0.5 * (along[k] + along[k + FIRST]));
         own.score = own.score(&most);
         own.reached = std::array::from_fn(|k| most[k].max(LEAST * ends[k]));
         own.slow = Some(most[0]).filter(|speed| *speed < own.reached[0]);
         Ok(Some(own))
     }
 
-    /// The sum of these speeds in units of the default ranges' ends.
+    /// The sum of these speeds along the axes, in units of the default ranges' ends.
     fn score(&self, reached: &[f64; 3]) -> f64 {
         (0..3).map(|k| (reached[k] / self.ends[k]).clamp(0.0, 1.0)).sum()
+    }
+
+    /// Velocities for each unit of speed along `direction` when it walks with `velocity`; in units of the default ranges' ends at most
+    /// as fast as along the direction.
+    fn drift(&self, direction: usize, velocity: [f64; 3]) -> [f64; 3] {
+        let (axis, sign) = DIRECTIONS[direction];
+        let speed = sign * velocity[axis];
+        std::array::from_fn(|k| match k == axis || speed <= 0.0 {
+            true => 0.0,
+            false => {
+                (velocity[k] / self.ends[k] / (speed / self.ends[axis])).clamp(-1.0, 1.0) * self.ends[k]
+                    / self.ends[axis]
+            }
+        })
     }
 
     /// Does it walk clearly better than `other`?
@@ -119,17 +156,25 @@ impl GaitPrior {
 
     /// Fills `action` with the gait's action at `phase` of a stride, 0 to 1, under `command`.
     pub fn action(&self, command: [f64; 3], phase: f64, action: &mut [f32]) {
-        let fed = std::array::from_fn(|k| self.asked(k, command[k].abs()).copysign(command[k]));
+        let direction = |k: usize| if command[k] < 0.0 { k + FIRST } else { k };
+        let drift = |k: usize| (0..3).map(|axis| self.drifts[direction(axis)][k] * command[axis].abs()).sum::<f64>();
+        let fed = std::array::from_fn(|k| self.asked(k, command[k] - drift(k)));
         let size = (0..3).map(|k| (command[k] / self.reached[k]).powi(2)).sum::<f64>().sqrt();
         let lift = self.stride.lift * (size / SLOW).min(1.0);
         self.fill(LegStride { lift, ..self.stride }, fed, phase, action);
     }
 
-    /// What the gait must be asked for to reach a speed along direction `k`, from the straight lines between the trials; as much as it
+    /// What the gait must be asked for to reach a velocity along axis `k`, see [`Self::asked_along`].
+    fn asked(&self, k: usize, velocity: f64) -> f64 {
+        let direction = if velocity < 0.0 { k + FIRST } else { k };
+        self.asked_along(direction, velocity.abs()).copysign(velocity)
+    }
+
+    /// What the gait must be asked for to reach a speed along a direction, from the straight lines between the trials; as much as it
     /// is asked for at its greatest speed, if the speed is beyond it.
-    fn asked(&self, k: usize, speed: f64) -> f64 {
-        let mut before = [0.0; 2];
-        for (share, reached) in ASKED.into_iter().zip(self.curves[k]).filter(|(_, reached)| *reached > 0.0) {
+    fn asked_along(&self, direction: usize, speed: f64) -> f64 {
+        let (k, mut before) = (direction % FIRST, [0.0; 2]);
+        for (share, reached) in ASKED.into_iter().zip(self.curves[direction]).filter(|(_, reached)| *reached > 0.0) {
             let now = [share * self.ends[k], reached];
             if now[1] >= speed {
                 let part = ((speed - before[1]) / (now[1] - before[1]).max(1e-9)).clamp(0.0, 1.0);
@@ -150,16 +195,23 @@ impl GaitPrior {
         }
     }
 
-    /// The speed along each direction that is reached in each trial when the robot is asked for the speed in this direction.
-    fn trials(&self, model: &Model, tree: &TreeModel, trials: &[Trial]) -> Result<Vec<[f64; 3]>> {
+    /// For each trial and each direction, the robot's mean velocity forward, to the left and in yaw when it is asked for the trial's
+    /// speed in this direction; 0 if the state has lost its bounds.
+    fn trials(
+        &self,
+        model: &Model,
+        tree: &TreeModel,
+        trials: &[Trial],
+        along: &[Direction],
+    ) -> Result<Vec<Vec<[f64; 3]>>> {
         let angles = &tree.stance.angles;
         let mut start = State::at_rest(tree.height_over(angles, |x, y| model.surface_height(x, y)), angles);
         start.references.copy_from_slice(angles);
-        let count = 3 * trials.len();
+        let count = along.len() * trials.len();
         let mut engine = Engine::new(EngineKind::Tree, model, count)?;
         (0..count).for_each(|i| engine.set_state(i, &start));
         let substeps = (1.0 / (CONTROL_RATE * model.scene.dt)).round().max(1.0) as usize;
-        let (mut sums, mut state) = (vec![0.0; count], start.clone());
+        let (mut sums, mut state) = (vec![[0.0; 3]; count], start.clone());
         let (mut command, mut action) = (Command::still(self.joints), vec![0.0; self.driven.len()]);
         let steps = (SECONDS * CONTROL_RATE) as usize;
         let counted = |frequency: f64| {
@@ -169,8 +221,9 @@ impl GaitPrior {
         };
         for step in 0..steps {
             for i in 0..count {
-                let ((stride, share), mut velocity) = (trials[i / 3], [0.0; 3]);
-                velocity[i % 3] = share * self.ends[i % 3];
+                let ((stride, share), (axis, sign)) = (trials[i / along.len()], along[i % along.len()]);
+                let mut velocity = [0.0; 3];
+                velocity[axis] = sign * share * self.ends[axis];
                 self.fill(stride, velocity, stride.frequency * step as f64 / CONTROL_RATE, &mut action);
                 command.targets.clear();
                 command.targets.extend_from_slice(angles);
@@ -181,17 +234,30 @@ impl GaitPrior {
             }
             engine.advance(substeps);
             for (i, sum) in sums.iter_mut().enumerate() {
-                let counted = counted(trials[i / 3].0.frequency);
+                let counted = counted(trials[i / along.len()].0.frequency);
                 if step + counted < steps {
                     continue;
                 }
                 engine.state(i, &mut state);
                 let [x, y, _] = state.to_body(state.velocity);
-                let own = [x, y, state.to_body(state.angular_velocity)[2]][i % 3];
-                *sum += if state.is_sound() { own / counted as f64 } else { f64::NEG_INFINITY };
+                let velocity = [x, y, state.to_body(state.angular_velocity)[2]];
+                let share = if state.is_sound() { 1.0 / counted as f64 } else { f64::NAN };
+                sum.iter_mut().zip(velocity).for_each(|(sum, v)| *sum += share * v);
             }
         }
-        Ok(sums.chunks_exact(3).map(|s| std::array::from_fn(|k| s[k].max(0.0))).collect())
+        let sound = |sum: &[f64; 3]| if sum.iter().all(|v| v.is_finite()) { *sum } else { [0.0; 3] };
+        Ok(sums.chunks_exact(along.len()).map(|sums| sums.iter().map(sound).collect()).collect())
+    }
+}
+
+/// Replaces the velocities along [`DIRECTIONS`] of a symmetric robot by means with their mirror images: a trial begins with one group
+/// of legs, so it is not quite symmetric.
+fn make_symmetric(velocities: &mut [[f64; 3]], sides: Sides) {
+    let sign = |axis: usize| if axis == sides.across() || axis == 2 { -1.0 } else { 1.0 };
+    let before = velocities.to_vec();
+    for (d, velocity) in velocities.iter_mut().enumerate() {
+        let image = if sign(d % FIRST) < 0.0 { (d + FIRST) % DIRECTIONS.len() } else { d };
+        *velocity = std::array::from_fn(|k| 0.5 * (before[d][k] + sign(k) * before[image][k]));
     }
 }
 

@@ -62,6 +62,8 @@ pub struct LeggedStep<'a> {
     pub contacts: Contacts,
     /// Velocity that follows the command: forward, to the left [m/s], yaw [rad/s].
     pub tracked: [f64; 3],
+    /// Share of this step's velocity in `tracked`, if the tracking terms are shaped.
+    pub shaping: Option<f64>,
     /// Default position of each joint [rad].
     pub default: &'a [f64],
     pub units: &'a Units,
@@ -85,6 +87,17 @@ impl LeggedStep<'_> {
         !self.t.diverged && (self.fallen || self.base_contact || self.too_low)
     }
 
+    /// A term for following, which is a function of the mean velocity. With shaping, the change that this step makes in it counts at
+    /// once, divided by the step's share in the mean: the term for the velocity itself to first order, but a sway within a stride
+    /// cancels. That is potential-based shaping (Ng, Harada & Russell 1999) without discount, so it favours no other policy. Without
+    /// it a learner whose advantages are shorter than a stride sees an action's costs and only a part of its gain.
+    fn following(&self, term: impl Fn(&Self, [f64; 3]) -> f64) -> f64 {
+        let after = term(self, self.tracked);
+        let Some(share) = self.shaping else { return after };
+        let before = term(self, self.legged.average);
+        before + (after - before) / share
+    }
+
     /// Commanded speed along the ground [m/s].
     fn commanded(&self) -> f64 {
         self.legged.now[0].hypot(self.legged.now[1])
@@ -99,11 +112,13 @@ reward_terms! {
     /// weight of `termination`, our choice, costs 2 s of perfect tracking; legged_gym has 0, but clips negative sums.
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
         tracking_lin_vel: 1.0, "exp(−(((v_x − commanded) / v_max,x)² + ((v_y − commanded) / v_max,y)²) / tracking_sigma)", |s| {
-            let [x, y, _] = s.units.commanded();
-            (-(square((s.tracked[0] - s.legged.now[0]) / x) + square((s.tracked[1] - s.legged.now[1]) / y)) / s.sigma).exp()
+            s.following(|s, v| {
+                let [x, y, _] = s.units.commanded();
+                (-(square((v[0] - s.legged.now[0]) / x) + square((v[1] - s.legged.now[1]) / y)) / s.sigma).exp()
+            })
         };
         tracking_ang_vel: 0.5, "exp(−((ω_z − commanded) / ω_max)² / tracking_sigma)", |s| {
-            (-square((s.tracked[2] - s.legged.now[2]) / s.units.commanded()[2]) / s.sigma).exp()
+            s.following(|s, v| (-square((v[2] - s.legged.now[2]) / s.units.commanded()[2]) / s.sigma).exp())
         };
         lin_vel_z: -10.0, "v_z² / (gℓ)", |s| square(s.velocity[2] / s.units.speed);
         ang_vel_xy: -1.0, "(ω_x² + ω_y²) ℓ/g", |s| (square(s.angular_velocity[0]) + square(s.angular_velocity[1])) / square(s.units.rate);
