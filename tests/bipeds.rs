@@ -30,8 +30,9 @@ fn biped(link: f64, damping: f64) -> Import {
     import
 }
 
-/// `sandgait train` gives two legs commands along one axis, speeds that servos reach, if they are short a clock and a reward for steps in
-/// time, and if they are long one for steps in turns, unless the options are given or the training goes on without them; four legs get none.
+/// `sandgait train` gives two legs commands along one axis, speeds that servos reach, a clock with a reward for steps in time and shaped
+/// tracking terms, and if they are long a reward for steps in turns, unless the options are given or the training goes on without them;
+/// four legs get none.
 #[test]
 fn bipeds_have_options_that_suit_them() {
     let suited = |robot: &Import, given: Value, kept: Value| {
@@ -48,17 +49,22 @@ fn bipeds_have_options_that_suit_them() {
     assert!((clock.unwrap() / strides - 1.0).abs() < 0.03, "{clock:?}");
     assert_eq!((steps, share), ([Some(0.18), None], Some(0.5)));
     assert!(["two legs", "gait_clock", "contact", "single_axis"].iter().all(|word| said.contains(word)), "{said}");
-    let own = json!({"gait_clock": 2.0, "rewards": {"contact": 0.1}, "commands": {"single_axis": 0.25}});
+    let own = json!({
+        "gait_clock": 2.0, "rewards": {"contact": 0.1}, "commands": {"single_axis": 0.25}, "tracking_shaping": false
+    });
     let given = (Some(2.0), [Some(0.1), None], Some(0.25), String::new());
     assert_eq!(suited(&two, own.clone(), Value::Null), given);
     assert_eq!(suited(&two, json!({}), own), given);
     let none = (None, [None; 2], None, String::new());
     assert_eq!(suited(&two, json!({}), json!({"ground": "rigid"})), none);
     assert_eq!(suited(&four, json!({}), Value::Null), none);
-    // Long legs take long strides.
-    assert!(
-        matches!(suited(&tall, json!({}), Value::Null), (None, [None, Some(0.23)], Some(0.5), said) if said.contains("two legs"))
-    );
+    let mut shaped = json!({"robot": pack(&two)});
+    suit(&mut shaped, &Value::Null).unwrap();
+    assert_eq!(shaped["tracking_shaping"], json!(true));
+    let (clock, steps, ..) = suited(&tall, json!({}), Value::Null);
+    let strides = 0.33 * (9.81 / tall.stance.leg_length).sqrt();
+    assert!((clock.unwrap() / strides - 1.0).abs() < 0.03 && strides < 1.7, "{clock:?} {strides}");
+    assert_eq!(steps, [Some(0.18), Some(0.23)]);
     // Servos that turn with at most 5 rad/s.
     let slow = biped(0.2, 200.0);
     let slowed = suited(&slow, json!({}), Value::Null).3;

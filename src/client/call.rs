@@ -1,10 +1,12 @@
-//! Calls with one answer. Each has a connection of its own.
+//! Calls with one answer. Each has a connection of its own. Futures are boxed, so that calls are compiled here, and not again in each
+//! crate that waits for them.
 
 use super::address::ServerAddress;
 use super::{environments, lost};
 use crate::service::PROTOCOL;
 use crate::service::proto::{CloseSessionRequest, CreateSessionRequest, CreateSessionResponse};
 use crate::service::proto::{DescribeRequest, DescribeResponse};
+use futures_util::future::BoxFuture;
 use serde_json::Value;
 use std::time::Duration;
 use tokio::time::timeout;
@@ -20,30 +22,34 @@ async fn soon<T>(call: impl Future<Output = Result<T, Status>>) -> Result<T, Sta
 }
 
 /// Properties of the server, and its tasks.
-pub async fn describe(place: &ServerAddress) -> Result<DescribeResponse, Status> {
-    soon(async { Ok(environments(place).await?.describe(DescribeRequest {}).await?.into_inner()) }).await
+#[inline(never)]
+pub fn describe(place: &ServerAddress) -> BoxFuture<'_, Result<DescribeResponse, Status>> {
+    Box::pin(soon(async { Ok(environments(place).await?.describe(DescribeRequest {}).await?.into_inner()) }))
 }
 
 /// Reserves environments, which have no state before their first reset.
-pub async fn create_session(
-    place: &ServerAddress,
+#[inline(never)]
+pub fn create_session<'a>(
+    place: &'a ServerAddress,
     task_id: String,
     num_envs: u32,
     options: &Value,
-) -> Result<CreateSessionResponse, Status> {
+) -> BoxFuture<'a, Result<CreateSessionResponse, Status>> {
     let options = match crate::service::from_json(options).kind {
         Some(prost_types::value::Kind::StructValue(options)) => Some(options),
         _ => None,
     };
     let request = CreateSessionRequest { task_id, num_envs, options, protocol: PROTOCOL };
-    soon(async { Ok(environments(place).await?.create_session(request).await?.into_inner()) }).await
+    Box::pin(soon(async { Ok(environments(place).await?.create_session(request).await?.into_inner()) }))
 }
 
 /// Frees a session, if the server answers within `time`.
-pub async fn close_session(place: &ServerAddress, session_id: String, time: Duration) -> Result<(), Status> {
-    let call = async {
+#[inline(never)]
+pub fn close_session(place: &ServerAddress, session_id: String, time: Duration) -> BoxFuture<'_, Result<(), Status>> {
+    let call = async move {
         environments(place).await?.close_session(CloseSessionRequest { session_id }).await?;
         Ok(())
     };
-    timeout(time, call).await.unwrap_or_else(|_| Err(Status::deadline_exceeded("the session was not closed")))
+    let late = || Err(Status::deadline_exceeded("the session was not closed"));
+    Box::pin(async move { timeout(time, call).await.unwrap_or_else(|_| late()) })
 }

@@ -6,6 +6,7 @@ use crate::service::proto::{StudyRequest, StudyResponse, study_response};
 use crate::service::status;
 use crate::service::studies::convert;
 use crate::study::{Content, StudyResult};
+use futures_util::future::BoxFuture;
 use futures_util::stream::{BoxStream, StreamExt as _};
 use std::collections::BTreeMap;
 use tonic::{Code, Status};
@@ -28,7 +29,12 @@ pub struct StudyCall {
 }
 
 /// Requests a study; dropping its events stops it.
-pub async fn study(place: &ServerAddress, call: StudyCall) -> Result<StudyEvents, Status> {
+#[inline(never)]
+pub fn study(place: &ServerAddress, call: StudyCall) -> BoxFuture<'_, Result<StudyEvents, Status>> {
+    Box::pin(begin(place, call))
+}
+
+async fn begin(place: &ServerAddress, call: StudyCall) -> Result<StudyEvents, Status> {
     let StudyCall { name, words: arguments, files } = call;
     let files = files.into_iter().map(|(name, content)| convert::input(name, content)).collect();
     let answers = study_client(place).await?.study(StudyRequest { name, arguments, files }).await;

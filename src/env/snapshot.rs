@@ -18,6 +18,7 @@ use crate::sand::memory::Moved;
 use crate::sim::model::Scene;
 use crate::sim::obstacle::{Obstacle, ObstacleShape};
 use crate::sim::{Model, Robot, State};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -51,6 +52,45 @@ pub struct SavedEpisode {
     /// The sand that was moved: [`Moved::to_bytes`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sand: Option<Vec<u8>>,
+}
+
+/// Episodes as CBOR. Their readers and writers are long, so they are compiled here, and not again in each crate that keeps episodes.
+impl SavedEpisode {
+    /// # Errors
+    /// The reason, which does not occur with memory as the target.
+    pub fn to_cbor(&self) -> std::result::Result<Vec<u8>, String> {
+        to_cbor(self)
+    }
+
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn from_cbor(bytes: &[u8]) -> std::result::Result<Self, String> {
+        from_cbor(bytes)
+    }
+
+    /// Many episodes.
+    ///
+    /// # Errors
+    /// See [`Self::to_cbor`].
+    pub fn all_to_cbor(episodes: &[Self]) -> std::result::Result<Vec<u8>, String> {
+        to_cbor(episodes)
+    }
+
+    /// # Errors
+    /// See [`Self::from_cbor`].
+    pub fn all_from_cbor(bytes: &[u8]) -> std::result::Result<Vec<Self>, String> {
+        from_cbor(bytes)
+    }
+}
+
+fn to_cbor<T: Serialize + ?Sized>(whole: &T) -> std::result::Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    ciborium::into_writer(whole, &mut bytes).map_err(|e| e.to_string())?;
+    Ok(bytes)
+}
+
+fn from_cbor<T: DeserializeOwned>(bytes: &[u8]) -> std::result::Result<T, String> {
+    ciborium::from_reader(bytes).map_err(|e| e.to_string())
 }
 
 impl Episode {

@@ -5,7 +5,6 @@ use super::batch::Batch;
 use super::operation::{Operation, ResetTasks};
 use super::snapshot::{Snapshot, broken};
 use crate::env::episode::Episode;
-use crate::env::snapshot::SavedEpisode;
 use crate::env::{AnyTask, ResetOptions};
 use crate::error::{Error, Result};
 use crate::sim::{MemoryCount, resident};
@@ -179,7 +178,7 @@ impl RestorePlan {
                 task
             }
         };
-        let episode: SavedEpisode = episode.unpack()?;
+        let episode = episode.episode()?;
         let new = Arc::new(Episode::resume(&episode, &task)?);
         self.resumed.insert(source, new.clone());
         self.episodes.push(new);

@@ -13,8 +13,9 @@ use super::batch::Batch;
 use super::operation::Operation;
 use super::seal::Seal;
 use crate::env::AnyTask;
+use crate::env::snapshot::SavedEpisode;
 use crate::error::{Error, Result};
-use serde::de::{DeserializeOwned, Visitor};
+use serde::de::Visitor;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 use std::sync::Arc;
@@ -51,9 +52,17 @@ pub(super) fn broken(why: impl std::fmt::Display) -> Error {
 }
 
 impl PackedPart {
-    fn pack(whole: &impl Serialize) -> Result<Self> {
+    fn pack_options(options: &Map<String, Value>) -> Result<Self> {
         let mut bytes = Vec::new();
-        ciborium::into_writer(whole, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
+        ciborium::into_writer(options, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
+        Self::new(bytes)
+    }
+
+    fn pack_episode(episode: &SavedEpisode) -> Result<Self> {
+        Self::new(episode.to_cbor().map_err(|e| broken(format!("cannot be written: {e}")))?)
+    }
+
+    fn new(bytes: Vec<u8>) -> Result<Self> {
         match PART.contains(&bytes.len()) {
             true => Ok(Self(bytes)),
             // A part outside this range could not be read again.
@@ -61,8 +70,12 @@ impl PackedPart {
         }
     }
 
-    pub(super) fn unpack<T: DeserializeOwned>(&self) -> Result<T> {
+    fn options(&self) -> Result<Map<String, Value>> {
         ciborium::from_reader(&self.0[..]).map_err(|e| broken(format!("it cannot be read: {e}")))
+    }
+
+    pub(super) fn episode(&self) -> Result<SavedEpisode> {
+        SavedEpisode::from_cbor(&self.0).map_err(|e| broken(format!("it cannot be read: {e}")))
     }
 }
 
@@ -108,7 +121,7 @@ impl Snapshot {
 
     /// The options with this index.
     pub(super) fn options_of(&self, index: u32) -> Result<Map<String, Value>> {
-        self.options.get(index as usize).ok_or_else(|| broken("it is inconsistent"))?.unpack()
+        self.options.get(index as usize).ok_or_else(|| broken("it is inconsistent"))?.options()
     }
 
     pub fn to_bytes(&self, seal: &Seal) -> Result<Vec<u8>> {
@@ -146,13 +159,13 @@ impl Batch {
                     tasks.push(task);
                     tasks.len() - 1
                 });
-                episodes.push((index as u32, PackedPart::pack(&shard.save(i))?));
+                episodes.push((index as u32, PackedPart::pack_episode(&shard.save(i))?));
             }
             let packed = &episodes[episodes.len() - shard.envs()..];
             self.charge(COPIES * packed.iter().map(|(_, part)| part.0.len()).sum::<usize>())?;
         }
         let options = |t: &&Arc<dyn AnyTask>| {
-            let part = PackedPart::pack(&t.options())?;
+            let part = PackedPart::pack_options(&t.options())?;
             self.charge(COPIES * part.0.len())?;
             Ok(part)
         };

@@ -24,6 +24,7 @@ use super::{Service, off_runtime, viewer};
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Seal};
 use axum::middleware;
+use futures_util::future::BoxFuture;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -64,8 +65,14 @@ pub struct ServerSetup {
 /// Adds services that share the sessions and the threads of a server.
 pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>) + Send>;
 
-/// Serves until `stop` is cancelled, then lets every stream finish its present operation.
-pub async fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
+/// Serves until `stop` is cancelled, then lets every stream finish its present operation. The future is boxed, so that the server is
+/// compiled here, and not again in each crate that waits for it.
+#[inline(never)]
+pub fn serve(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> BoxFuture<'static, Result<()>> {
+    Box::pin(serve_all(listener, setup, stop))
+}
+
+async fn serve_all(listener: Listener, setup: ServerSetup, stop: CancellationToken) -> Result<()> {
     let ServerSetup { threads, limits, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
     // The connections of the pages need file descriptors, too.
     let (most, streams) = (limits.connections as usize, limits.streams);

@@ -31,10 +31,8 @@ impl Episodes {
     pub fn bytes(&self) -> Result<Vec<u8>> {
         match self {
             Self::Here(episodes) => {
-                let mut bytes = Vec::new();
-                let written = ciborium::into_writer(episodes, &mut bytes);
-                written.map_err(|e| Error::invalid("checkpoint", format!("episodes cannot be written: {e}")))?;
-                Ok(bytes)
+                let written = SavedEpisode::all_to_cbor(episodes);
+                written.map_err(|e| Error::invalid("checkpoint", format!("episodes cannot be written: {e}")))
             }
             Self::OnServer(snapshot) => Ok(snapshot.clone()),
         }
@@ -44,7 +42,7 @@ impl Episodes {
         if away {
             return Ok(Self::OnServer(bytes));
         }
-        let read = ciborium::from_reader(&bytes[..]);
+        let read = SavedEpisode::all_from_cbor(&bytes);
         read.map(Self::Here).map_err(|e| Error::invalid("checkpoint", format!("its episodes cannot be read: {e}")))
     }
 }

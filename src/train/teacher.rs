@@ -4,7 +4,7 @@
 
 use super::settings::Hyperparameters;
 use crate::env::legged::columns::CLOCK;
-use crate::env::legged::prior::{GaitPrior, LEAST, LONGEST_STRIDE};
+use crate::env::legged::prior::{GaitPrior, LEAST};
 use crate::env::legged::units::Units;
 use crate::env::legged::{LEGS, LeggedVelocity};
 use crate::env::registry::Blueprint;
@@ -46,9 +46,10 @@ const BIPED_STRIDES: f64 = 0.33;
 const CONTACT: &str = "contact";
 const CONTACT_WEIGHT: f64 = 0.18;
 /// The reward term for long steps in a turn on the spot, whose weight for two long legs is that of [`AIR_TIME`]. With it the
-/// curriculum of G1 rises sooner, and it turned in one of two runs (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too.
-/// Short legs have [`CONTACT`], which also counts in turns.
+/// curriculum of G1 rises sooner (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too. Short legs do not need it.
 const TURNING: &str = "turning_air_time";
+/// Legs with fewer strides in a second are long: our choice.
+const LONG_LEGS: f64 = 1.7;
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their
 /// weight.
@@ -84,9 +85,9 @@ fn with_larger_steps(blueprint: &Blueprint, options: &Value, usual: &GaitPrior) 
 
 /// For a robot with arms, holds their joints. For a robot with two legs, sets in `options` of LeggedVelocity the clock of the observation,
 /// the weights of the terms for steps in time and in turns, the share of commands along one axis (where every command has a part forward,
-/// a biped does not learn to step in place for a turn), and for slow servos the greatest speeds of commands. For a robot with a plain
-/// gait, sets the larger scale of actions if the gait is clearly better with it, the clock to the gait's strides, the greatest speeds to
-/// what the gait reaches, narrow tracking terms, the share of commands along one axis, and the weight of the term for long steps to 0: its
+/// a biped does not learn to step in place for a turn), shaped tracking terms, and for slow servos the greatest speeds of commands. For a
+/// robot with a plain gait, sets the larger scale of actions if the gait is clearly better with it, the clock to the gait's strides, the
+/// greatest speeds to what the gait reaches, narrow and shaped tracking terms, the share of commands along one axis, and the weight of the term for long steps to 0: its
 /// threshold is made for the strides of four legs, and on six it makes standing the best gait. Options that are given stay; values in `kept`, the options of a training that goes on, come before the gait's.
 /// Terms by which the gait would lose more than [`DEAR`] become weaker.
 pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
@@ -143,15 +144,17 @@ pub fn suit(options: &mut Value, kept: &Value) -> Result<Suited> {
 /// Sets options for a robot with two legs, see [`suit`]. Returns those whose values are its own.
 fn suit_two_legs(options: &mut Value, kept: &Value, blueprint: &Blueprint) -> Vec<String> {
     let strides = two_digits(BIPED_STRIDES * Units::of(blueprint.task.model()).rate);
-    let mut own: Vec<(&[&str], f64)> = vec![(&["commands", ONE_AXIS], SINGLE_AXIS)];
-    // With a clock of 0.8 s H1 and G1 walked at half of the commanded speed (docs/robots_results.md).
-    if strides * LONGEST_STRIDE > 1.0 {
-        own.extend([(&[CLOCK_RATE][..], strides), (&["rewards", CONTACT], CONTACT_WEIGHT)]);
-    } else {
+    let mut own: Vec<(&[&str], Value)> = vec![
+        (&["commands", ONE_AXIS], json!(SINGLE_AXIS)),
+        (&[CLOCK_RATE], json!(strides)),
+        (&["rewards", CONTACT], json!(CONTACT_WEIGHT)),
+        (&[SHAPING], json!(true)),
+    ];
+    if strides < LONG_LEGS {
         let air_time = blueprint.task.spec().reward.iter().find(|term| term.name == AIR_TIME);
-        own.extend(air_time.map(|term| (&["rewards", TURNING][..], term.weight)));
+        own.extend(air_time.map(|term| (&["rewards", TURNING][..], json!(term.weight))));
     }
-    own.retain(|(path, value)| suggest(options, kept, path, json!(value)));
+    own.retain(|(path, value)| suggest(options, kept, path, value.clone()));
     let mut set: Vec<String> = own.iter().map(|(path, value)| format!("{} {value}", path.join("."))).collect();
     let slow = speeds_of_servos(blueprint).filter(|_| !ranges_are_given(options));
     if let Some(speeds) = slow.filter(|speeds| suggest(options, kept, &[SPEEDS], json!(speeds))) {
@@ -239,9 +242,9 @@ impl Suited {
                 self.held
             )
         });
-        let own = self.two_legs.join(" and ");
+        let own = self.two_legs.join(", ");
         let two_legs =
-            (!own.is_empty()).then(|| format!("because the robot has two legs, {own} (--set gait_prior=0: neither)"));
+            (!own.is_empty()).then(|| format!("because the robot has two legs: {own} (--set gait_prior=0: none of them)"));
         held.into_iter().chain(two_legs).collect()
     }
 }

@@ -31,9 +31,8 @@ const DRIFTS: usize = 1;
 /// A wave, or larger steps, must be better than the tripod by this factor: our choice.
 const BETTER: f64 = 1.2;
 /// Longest stride that is tried if a shorter one is among [`FREQUENCIES`] [s]: our choice, twice the 0.29 s to which the learner's
-/// advantages reach, 1/(1 − γλ) steps of 20 ms. Tracking terms take the mean velocity of a stride, so of a longer one the learner sees
-/// the costs and not the gain: a hexapod gave up a ripple gait of 1.1 s that it had imitated (docs/learning_hexapods.md).
-pub const LONGEST_STRIDE: f64 = 0.58;
+/// advantages reach, 1/(1 − γλ) steps of 20 ms. A hexapod followed its commands less well with longer ones (docs/learning_hexapods.md).
+const LONGEST_STRIDE: f64 = 0.58;
 /// Duration of a trial, and its beginning that is not counted [s]: our choice. Whole strides count, after the robot has sunk in.
 const SECONDS: f64 = 4.0;
 const BEGINNING: f64 = 1.0;
