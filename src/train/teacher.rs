@@ -46,7 +46,7 @@ const BIPED_STRIDES: f64 = 0.33;
 const CONTACT: &str = "contact";
 const CONTACT_WEIGHT: f64 = 0.18;
 /// The reward term for long steps in a turn on the spot, whose weight for two long legs is that of [`AIR_TIME`]. With it the
-/// curriculum of G1 rises sooner (docs/robots_results.md); `feet_air_time` of mjlab counts in turns, too. Short legs do not need it.
+/// curriculum of G1 rises sooner; `feet_air_time` of mjlab counts in turns, too. Short legs do not need it.
 const TURNING: &str = "turning_air_time";
 /// Legs with fewer strides in a second are long: our choice.
 const LONG_LEGS: f64 = 1.7;
