@@ -63,7 +63,7 @@ fn bipeds_have_options_that_suit_them() {
     assert_eq!(shaped["tracking_shaping"], json!(true));
     let (clock, steps, ..) = suited(&tall, json!({}), Value::Null);
     let strides = 0.33 * (9.81 / tall.stance.leg_length).sqrt();
-    assert!((clock.unwrap() / strides - 1.0).abs() < 0.03 && strides < 1.7, "{clock:?} {strides}");
+    assert!((clock.unwrap() / strides - 1.0).abs() < 0.03 && strides < 1.75, "{clock:?} {strides}");
     assert_eq!(steps, [Some(0.18), Some(0.23)]);
     // Servos that turn with at most 5 rad/s.
     let slow = biped(0.2, 200.0);

@@ -49,7 +49,7 @@ const CONTACT_WEIGHT: f64 = 0.18;
 /// curriculum of G1 rises sooner; `feet_air_time` of mjlab counts in turns, too. Short legs do not need it.
 const TURNING: &str = "turning_air_time";
 /// Legs with fewer strides in a second are long: our choice.
-const LONG_LEGS: f64 = 1.7;
+const LONG_LEGS: f64 = 1.75;
 /// What the plain gait may lose by one term of the reward, as a share of what it earns by following exactly: our choice. A
 /// term that costs more makes standing, or a worse gait, the best one. Its weight is made for robots whose motors mostly carry their
 /// weight.
