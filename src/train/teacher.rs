@@ -243,8 +243,8 @@ impl Suited {
             )
         });
         let own = self.two_legs.join(", ");
-        let two_legs =
-            (!own.is_empty()).then(|| format!("because the robot has two legs: {own} (--set gait_prior=0: none of them)"));
+        let two_legs = (!own.is_empty())
+            .then(|| format!("because the robot has two legs: {own} (--set gait_prior=0: none of them)"));
         held.into_iter().chain(two_legs).collect()
     }
 }

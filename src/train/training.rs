@@ -38,11 +38,12 @@ impl<'a, 'r> Training<'a, 'r> {
         Self { plan, shared, learnt, remote, began: Instant::now(), before, rollouts: 0.0 }
     }
 
-    /// Finished share of the training: of its steps or of its time, whichever is larger.
+    /// Finished share of the training after the last update: of its steps or of its time, whichever is larger. The time is the one that
+    /// is reported, so a training that has ended has reported all of its time.
     pub fn done(&self) -> f64 {
         let settings = &self.plan.settings;
         let steps = self.learnt.steps as f64 / settings.n_timesteps as f64;
-        let time = settings.seconds.map_or(0.0, |seconds| (self.before + self.began.elapsed().as_secs_f64()) / seconds);
+        let time = settings.seconds.map_or(0.0, |seconds| self.learnt.seconds / seconds);
         steps.max(time).min(1.0)
     }
 
