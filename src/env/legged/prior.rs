@@ -80,6 +80,11 @@ const DIRECTIONS: [Direction; 6] = [(0, 1.0), (1, 1.0), (2, 1.0), (0, -1.0), (1,
 /// The directions with which strides are compared.
 const FIRST: usize = 3;
 
+/// The index in [`DIRECTIONS`] of a velocity along `axis`.
+fn direction(axis: usize, velocity: f64) -> usize {
+    if velocity < 0.0 { axis + FIRST } else { axis }
+}
+
 /// A stride, and the speed that it is asked for, in units of the default ranges' ends.
 type Trial = (LegStride, f64);
 
@@ -130,13 +135,11 @@ impl GaitPrior {
     fn drift(&self, direction: usize, velocity: [f64; 3]) -> [f64; 3] {
         let (axis, sign) = DIRECTIONS[direction];
         let speed = sign * velocity[axis];
-        std::array::from_fn(|k| match k == axis || speed <= 0.0 {
-            true => 0.0,
-            false => {
-                (velocity[k] / self.ends[k] / (speed / self.ends[axis])).clamp(-1.0, 1.0) * self.ends[k]
-                    / self.ends[axis]
-            }
-        })
+        if speed <= 0.0 {
+            return [0.0; 3];
+        }
+        let relative = |k: usize| (velocity[k] / self.ends[k] / (speed / self.ends[axis])).clamp(-1.0, 1.0);
+        std::array::from_fn(|k| if k == axis { 0.0 } else { relative(k) * self.ends[k] / self.ends[axis] })
     }
 
     /// Does it walk clearly better than `other`?
@@ -155,8 +158,8 @@ impl GaitPrior {
 
     /// Fills `action` with the gait's action at `phase` of a stride, 0 to 1, under `command`.
     pub fn action(&self, command: [f64; 3], phase: f64, action: &mut [f32]) {
-        let direction = |k: usize| if command[k] < 0.0 { k + FIRST } else { k };
-        let drift = |k: usize| (0..3).map(|axis| self.drifts[direction(axis)][k] * command[axis].abs()).sum::<f64>();
+        let along = |axis: usize| self.drifts[direction(axis, command[axis])];
+        let drift = |k: usize| (0..3).map(|axis| along(axis)[k] * command[axis].abs()).sum::<f64>();
         let fed = std::array::from_fn(|k| self.asked(k, command[k] - drift(k)));
         let size = (0..3).map(|k| (command[k] / self.reached[k]).powi(2)).sum::<f64>().sqrt();
         let lift = self.stride.lift * (size / SLOW).min(1.0);
@@ -165,8 +168,7 @@ impl GaitPrior {
 
     /// What the gait must be asked for to reach a velocity along axis `k`, see [`Self::asked_along`].
     fn asked(&self, k: usize, velocity: f64) -> f64 {
-        let direction = if velocity < 0.0 { k + FIRST } else { k };
-        self.asked_along(direction, velocity.abs()).copysign(velocity)
+        self.asked_along(direction(k, velocity), velocity.abs()).copysign(velocity)
     }
 
     /// What the gait must be asked for to reach a speed along a direction, from the straight lines between the trials; as much as it
