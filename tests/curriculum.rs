@@ -115,29 +115,64 @@ fn history(blueprint: &Blueprint, seeds: &[u64], at: usize, from: Option<usize>)
 /// An environment's results depend on no bit of its neighbours, nor on a snapshot in the middle of an episode.
 #[test]
 fn levels_have_the_same_bits_in_every_batch() {
-    let blueprint = blueprint(
-        json!({"ground": "poppy-close", "max_episode_steps": 25, "curriculum": {"level": 0.3, "step": 0.07, "rise": 2.0, "fall": 3.0},
-        "commands": {"resampling_time": 0.2}}),
-    );
-    let alone = history(&blueprint, &[5], 0, None);
-    assert!(alone == history(&blueprint, &[3, 4, 5, 6, 9], 2, None));
-    assert!(alone == history(&blueprint, &[5], 0, Some(63)));
-    let (wide, info) = (blueprint.task.spec().observation.len(), &blueprint.task.spec().info);
-    let level = wide + info.iter().position(|c| c.name == "level").unwrap();
-    let mut levels: Vec<f32> = alone.chunks_exact(wide + info.len()).map(|row| row[level]).collect();
-    levels.dedup();
-    assert!(levels.len() > 3, "{levels:?}");
+    for ground in ["poppy-close", "any"] {
+        let blueprint = blueprint(
+            json!({"ground": ground, "max_episode_steps": 25, "curriculum": {"level": 0.3, "step": 0.07, "rise": 2.0, "fall": 3.0},
+            "commands": {"resampling_time": 0.2}}),
+        );
+        let alone = history(&blueprint, &[5], 0, None);
+        assert!(alone == history(&blueprint, &[3, 4, 5, 6, 9], 2, None), "{ground}");
+        assert!(alone == history(&blueprint, &[5], 0, Some(63)), "{ground}");
+        let (wide, info) = (blueprint.task.spec().observation.len(), &blueprint.task.spec().info);
+        let level = wide + info.iter().position(|c| c.name == "level").unwrap();
+        let mut levels: Vec<f32> = alone.chunks_exact(wide + info.len()).map(|row| row[level]).collect();
+        levels.dedup();
+        assert!(levels.len() > 3, "{ground}: {levels:?}");
+    }
 }
 
-/// Mean depth of the feet of the standing robot in parts of its legs' length.
+/// Mean depth of the feet of standing robot `i` in parts of its legs' length.
+fn feet_depth(shard: &Shard, i: usize) -> f64 {
+    let tree = shard.model(i).tree.as_ref().unwrap();
+    let (frames, feet) = (frames(&tree.tree, shard.state(i)), &tree.stance.feet);
+    let depth = |foot: &usize| -lowest(&frames[*foot], &tree.contacts[*foot]).z;
+    feet.iter().map(depth).sum::<f64>() / feet.len() as f64 / tree.stance.leg_length
+}
+
+/// The depth of the feet 3 s after the start of an episode.
 fn sunk(options: Value) -> f64 {
     let blueprint = blueprint(options);
     let mut shard = shard(&blueprint, &[1]);
     (0..150).for_each(|_| shard.step(&[0.0; 12]));
-    let tree = shard.model(0).tree.as_ref().unwrap();
-    let (frames, feet) = (frames(&tree.tree, shard.state(0)), &tree.stance.feet);
-    let depth = |foot: &usize| -lowest(&frames[*foot], &tree.contacts[*foot]).z;
-    feet.iter().map(depth).sum::<f64>() / feet.len() as f64 / tree.stance.leg_length
+    feet_depth(&shard, 0)
+}
+
+/// On ground `any` about a fifth of the episodes have hard ground, the others sand of a hidden strength, and robots sink
+/// less the stronger it is. In `info`, `sand` is then 0 or that strength.
+#[test]
+fn episodes_draw_any_ground() {
+    let blueprint = blueprint(json!({"ground": "any", "angle_noise": 0.0, "domain_rand": null, "curriculum": null}));
+    let seeds: Vec<u64> = (0..64).collect();
+    let mut shard = shard(&blueprint, &seeds);
+    (0..150).for_each(|_| shard.step(&[0.0; 12 * 64]));
+    let info = &blueprint.task.spec().info;
+    let sand = info.iter().position(|c| c.name == "sand").unwrap();
+    let mut seen: Vec<_> =
+        (0..64).map(|i| (f64::from(shard.rows.infos[i * info.len() + sand]), feet_depth(&shard, i))).collect();
+    seen.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let hard = seen.iter().filter(|(sand, _)| *sand == 0.0).count();
+    assert!((5..=22).contains(&hard), "{hard} of 64 on hard ground");
+    for (_, depth) in &seen[..hard] {
+        assert!(depth.abs() < 2e-3, "{depth} on hard ground");
+    }
+    let logs: Vec<f64> = seen[hard..].iter().map(|(sand, _)| sand.ln()).collect();
+    assert!(logs.iter().all(|log| (0.0..=16_f64.ln()).contains(log)), "{logs:?}");
+    // The mean of 50 uniform numbers differs from the middle by more than 0.15 of their range once in 4,000 times.
+    let mean = logs.iter().sum::<f64>() / logs.len() as f64 / 16_f64.ln();
+    assert!((0.35..0.65).contains(&mean), "{mean}");
+    for pair in seen[hard..].windows(2) {
+        assert!(pair[0].1 > pair[1].1 - 1e-4, "stronger sand, deeper feet: {pair:?}");
+    }
 }
 
 /// At level 0 sand carries the robot like hard ground: the feet sink by some 2 % of the legs' length, and up to twice

@@ -63,6 +63,7 @@ fn environments_take_what_is_reserved() {
         ("sandcat on rigid ground", json!({"ground": "rigid"})),
         ("sandcat on sand", json!({"ground": "poppy-close"})),
         ("sandcat on both", json!({"ground": "mixed"})),
+        ("sandcat on any ground", json!({"ground": "any"})),
         ("sandcat on dunes", json!({"ground": "dunes", "measure_heights": true})),
         ("1,000 shapes", json!({"robot": many(1_000), "ground": "rigid"})),
         ("5,000 points", json!({"robot": points(5_000), "ground": "rigid"})),

@@ -35,7 +35,7 @@ fn probes(present: &Value, keys: &[OptionRow]) -> Vec<Value> {
         _ => Vec::new(),
     };
     let text = "a long comment, twenty thousand bytes of it; ".repeat(450);
-    let names = ["lanes", "rapier", "C", "mixed", "dunes", "rigid", "xplorer18", "torque", "agarwal2023"];
+    let names = ["lanes", "rapier", "C", "mixed", "dunes", "any", "rigid", "xplorer18", "torque", "agarwal2023"];
     all.extend(names.map(Value::from));
     all.extend([
         json!(format!("medium = \"poppy-close\"\nlaw = \"li2013\"\n# {text}")),

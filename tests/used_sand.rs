@@ -122,6 +122,7 @@ fn wrong_options_are_named() {
         ("sandgait/LeggedVelocity-v1", json!({"memory": true, "ground": "rigid"}), "flat sand"),
         ("sandgait/LeggedVelocity-v1", json!({"memory": true, "ground": "dunes"}), "flat sand"),
         ("sandgait/LeggedVelocity-v1", json!({"memory": true, "ground": "mixed"}), "flat sand"),
+        ("sandgait/LeggedVelocity-v1", json!({"memory": true, "ground": "any"}), "flat sand"),
         (GAIT, json!({"memory": true, "sand": used}), "footprint"),
         (GAIT, json!({"memory": 1}), "memory"),
     ] {

@@ -5,7 +5,7 @@
 
 use super::FIRST_SEED;
 use super::gait::{Gait, PolicySource};
-use crate::env::legged::{DomainRand, LeggedVelocity, SAND, Units};
+use crate::env::legged::{ANY, DomainRand, LeggedVelocity, SAND, Units};
 use crate::env::registry::Blueprint;
 use crate::env::{Shard, Spec, Task};
 use crate::error::{Error, Result, check_range};
@@ -201,7 +201,14 @@ fn follow(blueprint: &Blueprint, gait: &Gait, small: f64, report: &dyn Fn() -> R
     let velocity: [f64; 3] =
         std::array::from_fn(|k| standing.iter().map(|sum| sum[k]).sum::<f64>() / standing.len().max(1) as f64);
     let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let error = norm(std::array::from_fn(|k| velocity[k] - command[k])) / norm(command).max(small);
+    let error_of =
+        |velocity: &[f64; 3]| norm(std::array::from_fn(|k| velocity[k] - command[k])) / norm(command).max(small);
+    // Errors of robots on different grounds must not cancel.
+    let error = if blueprint.task.option("ground") == ANY && !standing.is_empty() {
+        standing.iter().map(|v| error_of(v)).sum::<f64>() / standing.len() as f64
+    } else {
+        error_of(&velocity)
+    };
     let falls = fell.iter().filter(|fell| **fell).count() as f64 / ROBOTS as f64;
     Ok(CommandResult { command, velocity, error, falls })
 }

@@ -167,7 +167,7 @@ def _medium(request: Request, policy: Policy, learnt: Mapping[str, Any]) -> str:
     medium = request.medium or str(policy.trained_with["ground"])
     if request.medium is None and medium != "rigid" and learnt.get("sand"):
         return str(learnt["sand"])
-    if medium in ("mixed", "dunes"):
+    if medium in ("mixed", "dunes", "any"):
         raise Refused(f"medium: the policy was trained on {medium}; say on which sand the robot walked: --medium")
     return medium
 

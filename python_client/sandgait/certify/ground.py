@@ -17,7 +17,11 @@ from ..policies import trained
 
 #: Kinds of ground of LeggedVelocity that are no medium, each with its medium and what it has besides
 #: (docs/tasks/LeggedVelocity-v1.md).
-_KINDS = {"dunes": ("poppy-loose", "dunes"), "mixed": ("poppy-loose", "slabs of hard ground")}
+_KINDS = {
+    "dunes": ("poppy-loose", "dunes"),
+    "mixed": ("poppy-loose", "slabs of hard ground"),
+    "any": ("poppy-loose", "stronger sand and hard ground"),
+}
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ pub fn figures(feet: &[String]) -> Features<Figure> {
         .free("work", "J", |s, _| s.t.after.work - s.t.before.work)
         .free("weight", "N", |s, _| s.t.model.weight())
         .free("friction", "1", |s, _| s.legged.friction)
-        .free("sand", "1", |s, _| s.legged.sand)
+        .free("sand", "1", |s, _| if s.legged.hard { 0.0 } else { s.legged.sand })
         .free("level", "1", |s, _| s.legged.level)
         .free("added_mass", "kg", |s, _| s.legged.added_mass)
         .free("motor_strength", "1", |s, _| s.legged.motor_strength)

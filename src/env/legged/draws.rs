@@ -19,6 +19,12 @@ pub const ADDED_MASS: RangeInclusive<f64> = -0.3..=1.0;
 /// Largest velocity along an axis that a push gives the base [m/s]: our choice, as above.
 pub const MOST_PUSH: f64 = 5.0;
 
+/// What ground `any` is: the share of episodes on hard ground, and the factors on the stress of loose sand in the others, whose
+/// logarithm is uniform. Our choice: with `sand_range` the strengths differ by a factor of 43. Pushes of a robot's leg into dunes
+/// differ by 18 from the 10th to the 90th percentile (docs/learning_sands.md).
+pub const HARD_SHARE: f64 = 0.2;
+pub const STRENGTHS: [f64; 2] = [1.0, 16.0];
+
 /// All ranges from which an episode's values are drawn.
 #[derive(Clone, Copy)]
 pub struct Draws {
@@ -33,6 +39,8 @@ pub struct Draws {
     pub rand: DomainRand,
     /// Longest episode [control steps].
     pub steps: u32,
+    /// Does the episode draw its ground, too?
+    pub any_ground: bool,
 }
 
 /// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default

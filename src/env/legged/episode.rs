@@ -1,7 +1,7 @@
 //! The values that an episode of LeggedVelocity draws when it begins, and the values that it updates.
 
 use super::curriculum::{Followed, MOST_EASE};
-use super::draws::{ADDED_MASS, Draws, FRICTION, MOST, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND};
+use super::draws::{ADDED_MASS, Draws, FRICTION, HARD_SHARE, MOST, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND, STRENGTHS};
 use crate::error::Result;
 use crate::random::Random;
 use crate::sim::Model;
@@ -33,6 +33,9 @@ impl Difficulty {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeggedEpisode {
+    /// Is the ground hard, though the session's has sand? Only ground `any` is.
+    #[serde(default)]
+    pub hard: bool,
     /// Factor on the friction of hard ground; the next field is the factor on the sand's stress.
     pub friction: f64,
     pub sand: f64,
@@ -72,7 +75,13 @@ impl LeggedEpisode {
         let counts = from.counts();
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
         let friction = one(rand.friction_range);
-        let sand = one(rand.sand_range) * difficulty.ease;
+        let (hard, strength) = if from.any_ground {
+            (one([0.0, 1.0]) < HARD_SHARE, one(STRENGTHS.map(f64::ln)).exp())
+        } else {
+            (false, 1.0)
+        };
+        // The curriculum makes sand that is stronger anyway no stronger.
+        let sand = one(rand.sand_range) * difficulty.ease.max(strength);
         let added_mass = one(rand.added_mass_range) * model.total_mass();
         let motor_strength = one(rand.motor_strength_range);
         let mut command = || {
@@ -93,6 +102,7 @@ impl LeggedEpisode {
         let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let now = all.first().copied().unwrap_or_default();
         Self {
+            hard,
             friction,
             sand,
             added_mass,
@@ -147,7 +157,12 @@ impl LeggedEpisode {
         }
         model.tree = Some(Arc::new(tree));
         model.scene.medium.coefficients = model.scene.medium.coefficients.scaled(self.sand);
-        model.scene.hard.iter_mut().for_each(|hard| hard.grip *= self.friction);
+        for piece in &mut model.scene.hard {
+            piece.grip *= self.friction;
+            if self.hard {
+                piece.depth = 0.0;
+            }
+        }
         Ok(model)
     }
 

@@ -17,7 +17,7 @@ mod reward;
 pub mod units;
 
 pub use draws::{Commands, DomainRand, MOST_COMMAND, SAND};
-pub use options::{LEGS, LeggedOptions, ReliefOptions};
+pub use options::{ANY, LEGS, LeggedOptions, ReliefOptions};
 use options::{driven, legs_alone};
 pub use reward::Rewards;
 pub use units::Units;

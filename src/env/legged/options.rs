@@ -40,7 +40,7 @@ options! {
         slope_deg: f64 = 0.0, [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG], reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, [0.0, Scene::MAX_PAYLOAD], reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
-        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), any (each episode draws hard ground, or loose poppy seeds up to 16 times as strong), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
         max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn repeatedly";
@@ -99,7 +99,7 @@ impl LeggedOptions {
         let rand = self.domain_rand.unwrap_or(DomainRand::NONE);
         let Commands { resampling_time, single_axis, .. } = self.commands;
         let (commands, small, steps) = (units.ranges(&self.commands), units.small(), self.max_episode_steps);
-        Draws { commands, resampling_time, single_axis, small, rand, steps }
+        Draws { commands, resampling_time, single_axis, small, rand, steps, any_ground: self.ground == ANY }
     }
 
     pub(super) fn model(&self) -> Result<Model> {
@@ -195,9 +195,13 @@ pub(super) fn driven(tree: &TreeModel, given: Option<f64>, legs: bool) -> Driven
 }
 
 /// Kinds of ground besides media: hard ground, slabs of hard ground in sand, and dunes.
-const GROUNDS: [&str; 3] = ["rigid", "mixed", DUNES];
+const GROUNDS: [&str; 4] = ["rigid", "mixed", DUNES, ANY];
 /// Loose sand that is not flat.
 const DUNES: &str = "dunes";
+/// Ground that each episode draws, so that a policy learns to walk on all of it: hard ground, or sand of a hidden strength.
+pub const ANY: &str = "any";
+/// Depth of the hard ground below the sand of [`ANY`] [m], the largest that is allowed: no robot comes so deep.
+const FAR_BELOW: f64 = 10.0;
 /// Size of the slabs of `mixed`, and distance from one to the next [m]: our choice, one or two lengths of a robot.
 const SLABS: [f64; 2] = [0.8, 1.6];
 
@@ -208,6 +212,7 @@ fn ground(name: &str) -> Result<(Vec<HardGround>, Medium)> {
     match name {
         "rigid" => Ok((vec![HardGround::everywhere()], sand()?)),
         DUNES => Ok((Vec::new(), sand()?)),
+        ANY => Ok((vec![HardGround { depth: FAR_BELOW, ..HardGround::everywhere() }], sand()?)),
         "mixed" => Ok((vec![HardGround { size, every, ..HardGround::everywhere() }], sand()?)),
         _ => {
             let media = Medium::names();
