@@ -27,7 +27,7 @@ def make_sand(ground: str, law: str = "li2013", strength: float = 1.0) -> Sand:
         return Sand(numbered[1] + f"{_number(numbered[2]) * strength:.9g}", law=law)
     if "\n" not in ground and strength == 1.0:
         return Sand(ground, law=law)
-    text = ground if "\n" in ground else _toml(ground, law)
+    text = sand_toml(ground, law)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "sand.toml"
         file.write_text(text if strength == 1.0 else stronger(text, strength), encoding="utf-8")
@@ -56,8 +56,10 @@ def ground_name(ground: str) -> str:
     return ground if "\n" not in ground else str(_parsed(ground).get("name", "sand.toml"))
 
 
-def _toml(name: str, law: str) -> str:
-    """The text of the sand.toml of a medium that the program lists."""
+def sand_toml(name: str, law: str) -> str:
+    """The text of the sand.toml of a medium that the program lists; such a text is returned as it is."""
+    if "\n" in name:
+        return name
     medium = next((m for m in _media() if m["name"] == name), None)
     if medium is None:
         Sand(name, law=law)  # raises the error that lists the names

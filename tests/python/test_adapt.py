@@ -19,6 +19,7 @@ from sandgait.adapt import Gain, Request, World, adapt, loop, page, posterior, s
 from sandgait.adapt import command as adapt_command
 from sandgait.adapt.command import main
 from sandgait.adapt.servo import Motors
+from sandgait.adapt.tracking import Followed
 from sandgait.certify.ground import ground_of
 from sandgait.training import train
 from sandgait_deploy import Controller, Refused, read_policy
@@ -50,12 +51,18 @@ def stub(monkeypatch: pytest.MonkeyPatch, report: dict[str, Any], errors: dict[s
     def lines(folder: Path, world: World, _: Any) -> list[dict[str, Any]]:
         key = "old" if folder.name == "cat" else "new"
         error = errors["trained"] if world == World() else errors[key]
-        return [{"command": [0.4, 0.0, 0.0], "error": error, "falls": 0.0}]
+        velocity = [0.4 * (1.0 - error), 0.0, 0.0]
+        return [{"command": [0.4, 0.0, 0.0], "velocity": velocity, "error": error, "falls": 0.0}]
 
     monkeypatch.setattr(loop, "diagnose", lambda _request, _medium, place: written(report, place / "diagnosis"))
     monkeypatch.setattr(loop, "train", train)
     monkeypatch.setattr(loop, "_lines", lines)
     return trained
+
+
+def robot_walks(speed: float) -> Followed:
+    """A robot that is commanded to walk at 0.4 m/s."""
+    return Followed(np.array([0.4, 0.0, 0.0]), np.array([speed, 0.0, 0.0]), 0.4)
 
 
 def samples(weights: Path) -> float:
@@ -186,8 +193,8 @@ def test_the_interval_of_the_gain_is_that_of_one_robot() -> None:
 
 
 def test_what_joints_and_imu_do_not_show_is_said(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
-    stub(monkeypatch, found("noise_floor"), {"trained": 0.02})
-    monkeypatch.setattr(loop, "followed", lambda *_: [(np.array([0.4, 0.0, 0.0]), 0.3)])
+    stub(monkeypatch, found("noise_floor"), {"trained": 0.02, "old": 0.02})
+    monkeypatch.setattr(loop, "followed", lambda *_: [robot_walks(0.28)])
     made = adapt(asked)
     assert "error of 30.0%, the simulated one with 2.0%, so something differs" in made.reason
     assert "log next: no walk, but pushes of a plate" in made.reason

@@ -7,7 +7,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,13 @@ from sandgait_deploy import Policy, Refused, read_policy
 
 from .. import logs, notebook
 from ..command_line import check_folder, failure, nine_commands
+from ..grounds import sand_toml
 from ..policies import trained
 from ..training import train
 from .posterior import Posterior, World, posterior
 from .servo import action_delay, motors
-from .tracking import compared, error_of, followed
+from .tracking import Followed, compared, error_of, followed
+from .walks import explained
 
 #: Standard deviation of the sand's coefficients for the diagnosis, relative: our choice, small, because the training's
 #: sand is an assumption: if the robot's sand is weaker, this shall be named and not be taken for scatter.
@@ -128,6 +130,7 @@ def adapt(request: Request, told: Callable[[str], None] = lambda _: None) -> Ada
     found = _look(request, policy, medium, told)
     request.out.mkdir(parents=True, exist_ok=True)
     logged = followed(request.log, policy)
+    found = _walked(policy, learnt, medium, found, logged, told)
     if not found.tells:
         tracked = compared(logged, _lines(policy.folder, World(), learnt)) if logged else None
         return Adaptation(request, found, None, tracked, None, _untold(found, tracked))
@@ -191,6 +194,27 @@ def _look(request: Request, policy: Policy, medium: str, told: Callable[[str], N
     return found
 
 
+def _walked(
+    policy: Policy,
+    learnt: Mapping[str, Any],
+    medium: str,
+    found: Posterior,
+    logged: list[Followed],
+    told: Callable[[str], None],
+) -> Posterior:
+    """`found`, and if it names no cause and the robot follows its commands worse than the simulated one, what its walks
+    say of sand and payload."""
+    if found.members or not logged:
+        return found
+    tracked = compared(logged, _lines(policy.folder, found.best, learnt))
+    if tracked[0] - tracked[1] < WORTH:
+        return found
+    told("the policy on other sands, and with payloads")
+    base = "" if medium == "rigid" else sand_toml(medium, str(learnt.get("law") or "li2013"))
+    said = explained(found, logged, base, float(policy.robot["mass"]), lambda w: _lines(policy.folder, w, learnt))
+    return found if said is None else replace(said, next=f"{_SAND}, to tell what the walks do not")
+
+
 def diagnose(request: Request, medium: str, place: Path) -> Path:
     """Diagnoses the log by `sandgait diagnose`, which reads robots from files; returns the folder of its results."""
     experiment, out, log = place / "experiment.toml", place / "diagnosis", request.log
@@ -223,7 +247,8 @@ def _untold(found: Posterior, tracked: tuple[float, float] | None) -> str:
     if unseen and tracked is not None:
         reason += (
             f"; but the robot follows the log's commands with an error of {tracked[0]:.1%}, the simulated one with "
-            f"{tracked[1]:.1%}, so something differs that joints and IMU do not show"
+            f"{tracked[1]:.1%}, so something differs that joints and IMU do not show, and neither other sand nor a payload"
+            " explains its walks"
         )
     more = found.next or (_MORE if found.verdict in ("insufficient_data", "none_of_these") else _SAND if unseen else "")
     return reason + (f"; log next: {more}" if more else "")

@@ -22,7 +22,7 @@ from ..grounds import stronger, with_mechanisms
 from .servo import Motors
 
 #: A 95 % interval of a normal distribution has this many standard deviations on each side of its middle.
-_HALF = 1.96
+HALF = 1.96
 
 #: Draws of the differences in predictive density for the weights of members: our choice; weights then err by some 1 %.
 _DRAWS = 2000
@@ -73,7 +73,7 @@ class Cause:
     def drawn(self, random: np.random.Generator) -> float:
         """A value within the 95 % interval that has the sign of the best one."""
         low, high = self.interval
-        value = float(np.clip(random.normal(self.value, (high - low) / (2.0 * _HALF)), low, high))
+        value = float(np.clip(random.normal(self.value, (high - low) / (2.0 * HALF)), low, high))
         return max(value, 0.0) if self.value > 0.0 else min(value, 0.0)
 
 
@@ -163,7 +163,7 @@ class Posterior:
         # A torque constant of the diagnosis describes the same effect of the motors.
         if found is not None and found.differ and "torque_constant" not in text:
             half = (found.interval[1] - found.interval[0]) / 2.0
-            value = found.strength if random is None else float(random.normal(found.strength, half / _HALF))
+            value = found.strength if random is None else float(random.normal(found.strength, half / HALF))
             low, high = (found.interval[0], found.interval[1]) if random is None else (value, value)
             text = _with_quantity(text, "torque_constant", value, (low, high))
         if self.delay is not None:
@@ -240,7 +240,7 @@ def _causes(report: Mapping[str, Any], ids: Sequence[str]) -> tuple[Cause, ...]:
     tried = next((c for c in report["candidates"] if set(c["ids"]) == set(ids)), None)
     if tried is None:
         raise Refused(f"the diagnosis gives no values for {' and '.join(ids)}, which it cannot tell from {list(best)}")
-    spread = _HALF * max(abs(tried["delta_chi2"]), 1.0) ** -0.5
+    spread = HALF * max(abs(tried["delta_chi2"]), 1.0) ** -0.5
     units = {limit["id"]: limit["unit"] for limit in report["upper_limits"]}
     count = len(tried["ids"]) - len(tried["values"])
     return (
@@ -254,7 +254,7 @@ def _causes(report: Mapping[str, Any], ids: Sequence[str]) -> tuple[Cause, ...]:
 
 def _stress_sd(report: Mapping[str, Any]) -> float:
     low, high = report["recalibration"]["ci95"]
-    return float(np.log(high / low) / (2.0 * _HALF))
+    return float(np.log(high / low) / (2.0 * HALF))
 
 
 def next_log(report: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,23 @@ _LEAST = 1.0
 _COMMAND, _VELOCITY = ("command_x", "command_y", "command_yaw"), ("lin_vel_x", "lin_vel_y", "gyro_z")
 
 
-def followed(log: Path, policy: Policy) -> list[tuple[Array, float]]:
-    """Each command of the log with the error with which it was followed, |mean velocity − command| / |command|; empty
-    if the log lacks commands or the base's velocity."""
+@dataclass(frozen=True)
+class Followed:
+    """A command of a log and the robot's mean velocity: forward, to the left [m/s], yaw [rad/s]."""
+
+    command: Array
+    velocity: Array
+    #: |command|, but at least a tenth of the policy's greatest command.
+    size: float
+
+    @property
+    def error(self) -> float:
+        """|velocity − command| / |command|"""
+        return float(np.linalg.norm(self.velocity - self.command)) / self.size
+
+
+def followed(log: Path, policy: Policy) -> list[Followed]:
+    """Each command of the log, and how it was followed; empty if the log lacks commands or the base's velocity."""
     columns = table(log)
     if any(name not in columns or np.isnan(columns[name]).any() for name in (*_COMMAND, *_VELOCITY, "t")):
         return []
@@ -37,16 +52,20 @@ def followed(log: Path, policy: Policy) -> list[tuple[Array, float]]:
         steady = rows[time >= _BEGINNING]
         if time[-1] >= _BEGINNING + _LEAST:
             command = commands[steady[0]]
-            error = np.linalg.norm(velocities[steady].mean(axis=0) - command)
-            found.append((command, float(error) / max(float(np.linalg.norm(command)), small)))
+            size = max(float(np.linalg.norm(command)), small)
+            found.append(Followed(command, velocities[steady].mean(axis=0), size))
     return found
 
 
-def compared(logged: Sequence[tuple[Array, float]], lines: Sequence[dict[str, Any]]) -> tuple[float, float]:
+def nearest(lines: Sequence[dict[str, Any]], command: Array) -> dict[str, Any]:
+    """The line of `nine_commands` whose command is the nearest."""
+    return min(lines, key=lambda line: float(np.linalg.norm(np.array(line["command"]) - command)))
+
+
+def compared(logged: Sequence[Followed], lines: Sequence[dict[str, Any]]) -> tuple[float, float]:
     """Mean error of the log's commands, and of the nearest of the simulated `lines` of `nine_commands`."""
-    simulated = np.array([line["command"] for line in lines])
-    nearest = [int(np.linalg.norm(simulated - command, axis=1).argmin()) for command, _ in logged]
-    return float(np.mean([error for _, error in logged])), float(np.mean([error_of(lines[k]) for k in nearest]))
+    simulated = [error_of(nearest(lines, one.command)) for one in logged]
+    return float(np.mean([one.error for one in logged])), float(np.mean(simulated))
 
 
 def error_of(line: dict[str, Any]) -> float:

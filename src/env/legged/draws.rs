@@ -21,7 +21,7 @@ pub const MOST_PUSH: f64 = 5.0;
 
 /// What ground `any` is: the share of episodes on hard ground, and the factors on the stress of loose sand in the others, whose
 /// logarithm is uniform. Our choice: with `sand_range` the strengths differ by a factor of 43. Pushes of a robot's leg into dunes
-/// differ by 18 from the 10th to the 90th percentile (docs/learning_sands.md).
+/// differ by 18 from the 10th to the 90th percentile (docs/certify.md).
 pub const HARD_SHARE: f64 = 0.2;
 pub const STRENGTHS: [f64; 2] = [1.0, 16.0];
 
