@@ -38,7 +38,7 @@ help:
 	@echo "make study-convergence   measure the walking speed over the time step with both engines (some 3 minutes)"
 	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
 	@echo "make study-hardware   train with exact and with randomised hardware, and evaluate on that of real robots (some two hours)"
-	@echo "make study-loop ARGS=\"POLICY --robot FILE\"   adapt a policy to ten robots in MuJoCo with hidden differences (some 20 minutes each)"
+	@echo "make study-loop ARGS=\"POLICY --robot FILE\"   adapt a policy to eleven robots in MuJoCo with hidden differences (minutes each)"
 	@echo "make study-plates   compare forces on the default plates of FILES=\"…\" (or shapes=COUNT,SEED) with those on fine ones"
 	@echo "make study-drop   drop five robots on a hard floor, here and by MuJoCo"
 	@echo "make study-engines   let a quadruped trot on sand here and in MuJoCo, at falling time steps (1 minute)"

@@ -37,6 +37,7 @@ PLANTS: dict[str, dict[str, float]] = {
     "delay of 30 ms": {"latency": 0.035},
     "payload of 15 %": {"payload": 0.15},
     "sand 30 % weaker": {"sand_strength": 0.7},
+    "sand a quarter as strong": {"sand_strength": 0.25},
     "sand twice as strong": {"sand_strength": 2.0},
     "motors 25 % weak, payload of 15 %": {"motor_strength": 0.75, "payload": 0.15},
 }

@@ -1,7 +1,7 @@
 //! The number of processors, and work on many items spread over them.
 
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::thread;
 
 /// Threads of all [`map`]s that run now, besides their callers.
@@ -41,28 +41,33 @@ impl Drop for Helpers {
 /// Applies `f` to every item; the results have the items' order. The caller's thread works, too; others help while
 /// processors are free. So a map within a map starts no threads that would only wait for each other.
 pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let helpers = Helpers::take(items.len().saturating_sub(1));
-    if helpers.0 == 0 {
-        return items.iter().map(f).collect();
-    }
+    let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
+    each(items.len(), &|k| {
+        let made = f(&items[k]);
+        *results[k].lock().unwrap_or_else(PoisonError::into_inner) = Some(made);
+    });
+    results.into_iter().filter_map(|made| made.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
+}
+
+/// Works on each index below `count`. This is not generic, so that the threads are compiled once and not for each map.
+fn each(count: usize, work: &(dyn Fn(usize) + Sync)) {
+    let helpers = Helpers::take(count.saturating_sub(1));
     let next = AtomicUsize::new(0);
-    let work = || {
-        let mut done = Vec::new();
+    let all = || {
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
-            let Some(item) = items.get(index) else { return done };
-            done.push((index, f(item)));
+            if index >= count {
+                return;
+            }
+            work(index);
         }
     };
-    let mut all: Vec<(usize, R)> = thread::scope(|scope| {
-        let handles: Vec<_> = (0..helpers.0).map(|_| scope.spawn(work)).collect();
-        let mut all = work();
+    thread::scope(|scope| {
+        let handles: Vec<_> = (0..helpers.0).map(|_| scope.spawn(all)).collect();
+        all();
         // A panic in the work is passed on to the caller.
-        all.extend(handles.into_iter().flat_map(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e))));
-        all
+        handles.into_iter().for_each(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
     });
-    all.sort_by_key(|(index, _)| *index);
-    all.into_iter().map(|(_, r)| r).collect()
 }
 
 #[cfg(test)]

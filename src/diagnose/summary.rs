@@ -107,7 +107,9 @@ fn none(r: &Report) -> Vec<String> {
         _ => {
             let own = r.evidence.iter().find(|c| c.written).map_or(String::new(), |c| c.ids.join(" with "));
             let law = if r.terms.is_empty() { String::new() } else { format!(" with {}", law(r)) };
-            vec![unexplained, format!("as a stand-in and not as the cause, {own}{law} is written")]
+            // A stand-in that must not be named has no row of evidence.
+            let what = if own.is_empty() && law.is_empty() { "a mechanism of sand.toml".into() } else { own + &law };
+            vec![unexplained, format!("as a stand-in and not as the cause, {what} is written")]
         }
     }
 }

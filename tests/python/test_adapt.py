@@ -192,6 +192,16 @@ def test_the_interval_of_the_gain_is_that_of_one_robot() -> None:
         assert Gain(*reversed(errors), ratio).interval == pytest.approx((-0.3 - half, -0.075 + half))
 
 
+def test_a_gain_counts_if_it_is_sure_and_no_world_loses_much() -> None:
+    before = (0.5, 0.5, 0.47, 0.41, 0.66, 0.5, 0.53, 0.6)
+    better = (0.45, 0.44, 0.44, 0.42, 0.47, 0.44, 0.45, 0.46)
+    assert Gain(before, better).doubt == ""
+    assert "is within its error" in Gain(before, before).doubt
+    assert "is within its error" in Gain((0.3, 0.3, 0.3, 0.3) * 2, (0.2, 0.4, 0.2, 0.38) * 2).doubt
+    harmed = (0.2,) * 7 + (0.66,)
+    assert "in one of the worlds the error rises by 6.0%" in Gain(before, harmed).doubt
+
+
 def test_what_joints_and_imu_do_not_show_is_said(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
     stub(monkeypatch, found("noise_floor"), {"trained": 0.02, "old": 0.02})
     monkeypatch.setattr(loop, "followed", lambda *_: [robot_walks(0.28)])

@@ -38,6 +38,10 @@ _STUDENT = 2.365
 #: (docs/robots.md: mean errors of 3 to 6 %).
 WORTH = 0.03
 
+#: Error that a new policy may add in one of the posterior's worlds, part of the command: our choice, what trainings with other seeds
+#: differ by at most (docs/robots_results.md).
+LOSS = 0.05
+
 #: Rounds over the members of an uncertain diagnosis: our choice, so that no member is trained only at the beginning.
 ROUNDS = 3
 
@@ -90,6 +94,17 @@ class Gain:
         factor = 1.0 if self.ratio is None else max(self.ratio, 1.0 / max(self.ratio, WORTH))
         ends = sorted((self.mean / factor, self.mean * factor))
         return ends[0] - half, ends[1] + half
+
+    @property
+    def doubt(self) -> str:
+        """Why the new policy should not be used; empty: its mean gain is above 0 with 97.5 % confidence (Student's t), and
+        in no world does it lose more than `LOSS`."""
+        change = np.subtract(self.before, self.after)
+        if self.mean <= _STUDENT * float(change.std(ddof=1)) / math.sqrt(len(change)):
+            return "the training did not help: its mean gain is within its error"
+        if change.min() < -LOSS:
+            return f"the training may harm: in one of the worlds the error rises by {-change.min():.1%}"
+        return ""
 
 
 @dataclass(frozen=True)
@@ -161,8 +176,7 @@ def adapt(request: Request, told: Callable[[str], None] = lambda _: None) -> Ada
         before.append(_error(policy.folder, world, learnt))
         after.append(_error(new, world, learnt))
     gain = Gain(tuple(before), tuple(after), None if tracked is None else tracked[0] / max(tracked[1], WORTH))
-    reason = "" if gain.interval[0] > 0.0 else "the training did not help: the interval of its gain reaches 0"
-    return Adaptation(request, found, present, tracked, gain, reason)
+    return Adaptation(request, found, present, tracked, gain, gain.doubt)
 
 
 def _medium(request: Request, policy: Policy, learnt: Mapping[str, Any]) -> str:

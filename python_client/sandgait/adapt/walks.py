@@ -70,7 +70,8 @@ def explained(
 ) -> Posterior | None:
     """`found` with the explanations of the walks; None: no sand and no payload explains them. `base`: text of the
     training's sand.toml, empty on hard ground; `mass`: of the robot [kg]; `lines`: the nine commands in a world."""
-    plain = replace(found, sand=found.sand or base)
+    # A recalibration that does not explain the walks is left out.
+    plain = replace(found, sand=base, stress_sd=0.0)
 
     def chi2(cause: Cause) -> float:
         world = plain.world(Member((cause,), 1.0), None)
@@ -109,5 +110,5 @@ def _differences(logged: Sequence[Followed], lines: Sequence[dict[str, Any]]) ->
 def _words(cause: Cause, mass: float) -> str:
     low, high = cause.interval
     if cause.id == "scale":
-        return f"on sand with {1.0 + cause.value:.2g} times the stress ({1.0 + low:.2g} to {1.0 + high:.2g})"
+        return f"on sand with {1.0 + cause.value:.2g} times the stated stress ({1.0 + low:.2g} to {1.0 + high:.2g})"
     return f"with a payload of {cause.value / mass:.0%} ({low / mass:.0%} to {high / mass:.0%}) of its mass"
