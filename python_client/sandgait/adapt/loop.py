@@ -38,8 +38,8 @@ _STUDENT = 2.365
 #: (docs/robots.md: mean errors of 3 to 6 %).
 WORTH = 0.03
 
-#: Error that a new policy may add in one of the posterior's worlds, part of the command: our choice, what trainings with other seeds
-#: differ by at most (docs/robots_results.md).
+#: Error that a new policy may add in one of the posterior's worlds, part of the command: our choice, the most by which
+#: trainings with other seeds differ (docs/robots_results.md).
 LOSS = 0.05
 
 #: Rounds over the members of an uncertain diagnosis: our choice, so that no member is trained only at the beginning.
@@ -97,8 +97,8 @@ class Gain:
 
     @property
     def doubt(self) -> str:
-        """Why the new policy should not be used; empty: its mean gain is above 0 with 97.5 % confidence (Student's t), and
-        in no world does it lose more than `LOSS`."""
+        """Why the new policy should not be used; empty: its mean gain is above 0 with 97.5 % confidence (Student's t),
+        and in no world does it lose more than `LOSS`."""
         change = np.subtract(self.before, self.after)
         if self.mean <= _STUDENT * float(change.std(ddof=1)) / math.sqrt(len(change)):
             return "the training did not help: its mean gain is within its error"
@@ -261,8 +261,8 @@ def _untold(found: Posterior, tracked: tuple[float, float] | None) -> str:
     if unseen and tracked is not None:
         reason += (
             f"; but the robot follows the log's commands with an error of {tracked[0]:.1%}, the simulated one with "
-            f"{tracked[1]:.1%}, so something differs that joints and IMU do not show, and neither other sand nor a payload"
-            " explains its walks"
+            f"{tracked[1]:.1%}, so something differs that joints and IMU do not show, and neither other sand nor a "
+            "payload explains its walks"
         )
     more = found.next or (_MORE if found.verdict in ("insufficient_data", "none_of_these") else _SAND if unseen else "")
     return reason + (f"; log next: {more}" if more else "")

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from .posterior import HALF, Cause, Member, Posterior, World
-from .tracking import Array, Followed, nearest
+from .servo import Array
+from .tracking import Followed, nearest
 
 #: Standard deviation of a mean velocity that a right world would leave, as a part of the command: our choice, the
-#: largest difference between errors of a policy here and in MuJoCo in the same world (docs/deploy_results.md: 1 to 5 %).
+#: largest difference between errors of a policy here and in MuJoCo in the same world (docs/deploy_results.md).
 _SCATTER = 0.05
 
 #: Factors on the sand's stress, and payloads as parts of the robot's mass: our choice. Pushes of a robot's leg into
