@@ -40,9 +40,9 @@ options! {
         slope_deg: f64 = 0.0, [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG], reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, [0.0, Scene::MAX_PAYLOAD], reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
-        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), any (each episode draws hard ground, or loose poppy seeds up to 16 times as strong), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), any (drawn: rigid, or loose poppy seeds up to 16 times as strong), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
-        max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, and units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ";
+        max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn repeatedly";
         rewards: Rewards = Rewards::default(), reset, "weight of each reward term [1/s]";
         tracking_sigma: f64 = TRACKING_SIGMA, [1e-3, 10.0], reset, "width of the tracking terms (legged_gym: 0.25)";
@@ -55,7 +55,7 @@ options! {
         joints: String = JOINTS[0].into(), "joints that actions move: all or legs; the others hold their default position";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
-        self_contact: bool = true, "legs do not pass through each other or the base: capsules in the box around each body's points of contact, without friction";
+        self_contact: bool = true, "legs do not pass through each other or the base: capsules around each body's contacts, without friction";
         gait_clock: Option<f64> = None, [0.01, 10.0], "frequency of an observed clock (sine, cosine) from the episode's start [Hz]; tracking terms then take a stride's mean velocity";
         measure_heights: bool = false, "the observation has the ground's heights at legged_gym's 187 points";
     }
