@@ -53,6 +53,16 @@ def test_weak_and_strong_sand_are_found(sand: float) -> None:
     assert tomllib.loads(found.best.sand)["mechanisms"]["scale"] == pytest.approx(cause.value)
 
 
+def test_walks_that_differ_otherwise_too_say_less() -> None:
+    of = (1.0, 0.0)
+    logged = [walks(share(0.3, 0.0, of), drift) for drift in (0.0, 0.08)]
+    made = [explained(PLAIN, one, SAND, MASS, lines(of)) for one in logged]
+    widths = [found.members[0].causes[0].interval for found in made if found is not None]
+    assert len(widths) == 2
+    assert widths[1][1] - widths[1][0] > 1.3 * (widths[0][1] - widths[0][0])
+    assert all(low < -0.7 < high for low, high in widths)
+
+
 def test_what_walks_cannot_tell_apart_stays_apart() -> None:
     of = (1.0, 1.5)
     found = explained(PLAIN, walks(share(0.3, 0.0, of)), SAND, MASS, lines(of))

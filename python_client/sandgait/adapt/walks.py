@@ -81,6 +81,9 @@ def explained(
     scans = [_scan("payload", "kg", _PAYLOADS * mass, _PAYLOADS, chi2)]
     if base:
         scans.append(_scan("scale", "1", _STRENGTHS - 1.0, np.log(_STRENGTHS), chi2))
+    # Where even the best world leaves more than the scatter, all differences err by more (Birge 1932).
+    more = max(1.0, min(float(s.chi2.min()) for s in scans) / (3 * len(logged) - 1))
+    scans = [replace(s, chi2=s.chi2 / more) for s in scans]
     nominal = float(scans[0].chi2[0])
     good = [s for s in scans if nominal - s.chi2.min() >= _BETTER and s.chi2.min() <= _LEFT**2 * nominal]
     if not good:
