@@ -1,7 +1,9 @@
 //! The values that an episode of LeggedVelocity draws when it begins, and the values that it updates.
 
 use super::curriculum::{Followed, MOST_EASE};
-use super::draws::{ADDED_MASS, Draws, FRICTION, HARD_SHARE, MOST, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND, STRENGTHS};
+use super::draws::{
+    ADDED_MASS, Draws, FRICTION, HARD_SHARE, MOST, MOST_COMMAND, MOST_PUSH, MOTOR_STRENGTH, SAND, STRENGTHS,
+};
 use crate::error::Result;
 use crate::random::Random;
 use crate::sim::Model;
