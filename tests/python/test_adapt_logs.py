@@ -105,7 +105,8 @@ def test_a_log_says_how_its_commands_were_followed(tmp_path: Path) -> None:
     log = tmp_path / "walk.csv"
     log.write_text("\n".join(rows))
     logged = followed(log, read_policy(CAT))
-    assert [error for _, error in logged] == pytest.approx([0.25, 0.0])
+    assert [one.error for one in logged] == pytest.approx([0.25, 0.0])
+    assert [list(one.velocity) for one in logged] == [pytest.approx(v) for v in ([0.3, 0, 0], [0, 0, 0.8])]
     lines = [{"command": c, "error": e, "falls": f} for c, e, f in (([0.5, 0, 0], 0.2, 0), ([0, 0, 0.7], 0.1, 0.5))]
     assert compared(logged, lines) == pytest.approx((0.125, (0.2 + 1.0) / 2))
     assert followed(CAT / "curve.csv", read_policy(CAT)) == []
