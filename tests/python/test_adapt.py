@@ -210,6 +210,28 @@ def test_what_joints_and_imu_do_not_show_is_said(asked: Request, monkeypatch: py
     assert "log next: no walk, but pushes of a plate" in made.reason
 
 
+def test_walks_say_what_the_log_does_not(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot with a payload on hard ground or sand, whose walks only a payload makes."""
+    stub(monkeypatch, found("none_of_these"), {})
+
+    def lines(folder: Path, world: World, _: Any) -> list[dict[str, Any]]:
+        error = 0.02 + (0.1 if folder.name == "cat" else 0.02) * world.payload
+        velocity = [0.4 * (1.0 - error), 0.0, 0.0]
+        return [{"command": [0.4, 0.0, 0.0], "velocity": velocity, "error": error, "falls": 0.0}]
+
+    monkeypatch.setattr(loop, "_lines", lines)
+    monkeypatch.setattr(loop, "followed", lambda *_: [robot_walks(0.4 * (1.0 - 0.42))] * 3)
+    made = adapt(asked)
+    assert made.adapted
+    ((cause,),) = (member.causes for member in made.found.members)
+    assert cause.id == "payload"
+    assert cause.interval[0] < 4.0 < cause.interval[1]
+    assert "The walks are those of a simulated robot with a payload of" in summary(made)[0]
+    # A sand without a table of coefficients is said.
+    made = adapt(replace(asked, medium="zeta=0.3", out=asked.out.parent / "other"))
+    assert "other sands were not tried, because zeta=0.3 is no table" in summary(made)[0]
+
+
 def test_the_weights_are_needed_only_for_training(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
     (asked.policy / "policy.safetensors").unlink()
     trained = stub(monkeypatch, WEAK, {"trained": 0.05, "old": 0.3})

@@ -17,6 +17,7 @@ from sandgait_deploy import Policy, Refused, read_policy
 
 from .. import logs, notebook
 from ..command_line import check_folder, failure, nine_commands
+from ..errors import InvalidRequest
 from ..grounds import sand_toml
 from ..policies import trained
 from ..training import train
@@ -224,7 +225,11 @@ def _walked(
     if tracked[0] - tracked[1] < WORTH:
         return found
     told("the policy on other sands, and with payloads")
-    base = "" if medium == "rigid" else sand_toml(medium, str(learnt.get("law") or "li2013"))
+    try:
+        base = "" if medium == "rigid" else sand_toml(medium, str(learnt.get("law") or "li2013"))
+    except InvalidRequest:  # zeta=VALUE and mu=VALUE,rho=VALUE
+        untried = f"other sands were not tried, because {medium} is no table of coefficients"
+        base, found = "", replace(found, summary=f"{found.summary.rstrip('.')}; {untried}")
     said = explained(found, logged, base, float(policy.robot["mass"]), lambda w: _lines(policy.folder, w, learnt))
     return found if said is None else replace(said, next=f"{_SAND}, to tell what the walks do not")
 
