@@ -40,7 +40,7 @@ options! {
         slope_deg: f64 = 0.0, [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG], reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, [0.0, Scene::MAX_PAYLOAD], reset, "extra mass at the base's centre [kg]";
         max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
-        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), any (drawn: rigid, or loose poppy seeds up to 16 times as strong), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        ground: String = Medium::DEFAULT.into(), reset, "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), any (drawn: rigid or 1 to 16 times poppy-loose), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
         curriculum: Option<Curriculum> = Some(Curriculum::default()), reset, "an environment's episodes become harder while its robot follows its commands, and easier while it does not; None: all have full difficulty";
         max_velocity: Option<[f64; 3]> = None, [LEAST_VELOCITY, MOST_COMMAND], reset, "greatest speeds forward, to the left [m/s] and yaw [rad/s]: ends of the commands' default ranges, units of tracking terms; None: 0.5 √(gℓ), 0.25 √(gℓ) and 0.2 √(g/ℓ) with the legs' length ℓ";
         commands: Commands = Commands::default(), reset, "ranges [low, high] of commands, which are drawn repeatedly";
@@ -51,7 +51,7 @@ options! {
         default_joint_angles: BTreeMap<String, f64> = BTreeMap::new(), [-100.0, 100.0], reset, "default positions of joints by pattern of their names [rad]";
         stiffness: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e6], reset, "position gains kp of servos by pattern of joint names [N·m/rad]";
         damping: BTreeMap<String, f64> = BTreeMap::new(), [0.0, 1e5], reset, "speed gains kd of servos by pattern of joint names [N·m·s/rad]";
-        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "difference between a joint's target and its default position at action 1 [rad]; None: where the servo gives the joint's full torque, but 0.4 to 0.5 rad";
+        action_scale: Option<f64> = None, [1e-3, 3.0], reset, "offset of a joint's target at action 1 [rad]; None: where the servo gives full torque, but 0.4 to 0.5 rad";
         joints: String = JOINTS[0].into(), "joints that actions move: all or legs; the others hold their default position";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
         memory: bool = false, "sand that was moved stays moved: prints, furrows and heaps, and sand that is pressed gets stronger (docs/memory.md)";
