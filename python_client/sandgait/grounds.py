@@ -15,6 +15,14 @@ from .command_line import said_by
 from .errors import InvalidRequest
 from .sand import Sand
 
+#: Kinds of ground of LeggedVelocity that are no medium, each with its medium and what it has besides
+#: (docs/tasks/LeggedVelocity-v1.md).
+KINDS = {
+    "dunes": ("poppy-loose", "dunes"),
+    "mixed": ("poppy-loose", "slabs of hard ground"),
+    "any": ("poppy-loose", "stronger sand and hard ground"),
+}
+
 #: Names with a number that is proportional to the stress: ζ, and the critical density.
 _NUMBERED = re.compile(r"(zeta=|mu=[^,]*,rho=)(.*)")
 

@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sandgait_deploy import Policy, Refused, read_policy
 from .. import logs, notebook
 from ..command_line import check_folder, failure, nine_commands
 from ..errors import InvalidRequest
-from ..grounds import sand_toml
+from ..grounds import KINDS, sand_toml
 from ..policies import trained
 from ..training import train
 from .posterior import Posterior, World, posterior
@@ -146,17 +147,18 @@ def adapt(request: Request, told: Callable[[str], None] = lambda _: None) -> Ada
     found = _look(request, policy, medium, told)
     request.out.mkdir(parents=True, exist_ok=True)
     logged = followed(request.log, policy)
-    found = _walked(policy, learnt, medium, found, logged, told)
+    walks = cache(lambda world: _lines(policy.folder, world, learnt))
+    found = _walked(policy, (medium, str(learnt.get("law") or "li2013")), found, logged, walks, told)
     if not found.tells:
-        tracked = compared(logged, _lines(policy.folder, World(), learnt)) if logged else None
+        tracked = compared(logged, walks(World())) if logged else None
         return Adaptation(request, found, None, tracked, None, _untold(found, tracked))
     if found.best.hardware:
         (request.out / "hardware.toml").write_text(found.best.hardware, encoding="utf-8")
     told("the present policy in the world of the log")
     worlds = [found.world(member, None) for member in found.trained] or [found.best]
-    there = [_lines(policy.folder, world, learnt) for world in worlds]
+    there = [walks(world) for world in worlds]
     weights = [member.weight for member in found.trained] or [1.0]
-    present = _error(policy.folder, World(), learnt), float(np.average([_mean(x) for x in there], weights=weights))
+    present = _mean(walks(World())), float(np.average([_mean(x) for x in there], weights=weights))
     tracked = compared(logged, there[0]) if logged else None
     if present[1] - present[0] < WORTH:
         reason = (
@@ -185,7 +187,7 @@ def _medium(request: Request, policy: Policy, learnt: Mapping[str, Any]) -> str:
     medium = request.medium or str(policy.trained_with["ground"])
     if request.medium is None and medium != "rigid" and learnt.get("sand"):
         return str(learnt["sand"])
-    if medium in ("mixed", "dunes", "any"):
+    if medium in KINDS:
         raise Refused(f"medium: the policy was trained on {medium}; say on which sand the robot walked: --medium")
     return medium
 
@@ -211,26 +213,27 @@ def _look(request: Request, policy: Policy, medium: str, told: Callable[[str], N
 
 def _walked(
     policy: Policy,
-    learnt: Mapping[str, Any],
-    medium: str,
+    sand: tuple[str, str],
     found: Posterior,
     logged: list[Followed],
+    walks: Callable[[World], list[dict[str, Any]]],
     told: Callable[[str], None],
 ) -> Posterior:
     """`found`, and if it names no cause and the robot follows its commands worse than the simulated one, what its walks
-    say of sand and payload."""
+    say of sand and payload. `sand`: medium and law of the training; `walks`: the nine commands of the present policy in
+    a world."""
     if found.members or not logged:
         return found
-    tracked = compared(logged, _lines(policy.folder, found.best, learnt))
+    tracked = compared(logged, walks(found.best))
     if tracked[0] - tracked[1] < WORTH:
         return found
     told("the policy on other sands, and with payloads")
     try:
-        base = "" if medium == "rigid" else sand_toml(medium, str(learnt.get("law") or "li2013"))
+        base = "" if sand[0] == "rigid" else sand_toml(*sand)
     except InvalidRequest:  # zeta=VALUE and mu=VALUE,rho=VALUE
-        untried = f"other sands were not tried, because {medium} is no table of coefficients"
+        untried = f"other sands were not tried, because {sand[0]} is no table of coefficients"
         base, found = "", replace(found, summary=f"{found.summary.rstrip('.')}; {untried}")
-    said = explained(found, logged, base, float(policy.robot["mass"]), lambda w: _lines(policy.folder, w, learnt))
+    said = explained(found, logged, base, float(policy.robot["mass"]), walks)
     return found if said is None else replace(said, next=f"{_SAND}, to tell what the walks do not")
 
 
@@ -266,8 +269,8 @@ def _untold(found: Posterior, tracked: tuple[float, float] | None) -> str:
     if unseen and tracked is not None:
         reason += (
             f"; but the robot follows the log's commands with an error of {tracked[0]:.1%}, the simulated one with "
-            f"{tracked[1]:.1%}, so something differs that joints and IMU do not show, and neither other sand nor a "
-            "payload explains its walks"
+            f"{tracked[1]:.1%}, so something differs that joints and IMU do not show, and no other world that was "
+            "tried explains its walks"
         )
     more = found.next or (_MORE if found.verdict in ("insufficient_data", "none_of_these") else _SAND if unseen else "")
     return reason + (f"; log next: {more}" if more else "")

@@ -11,17 +11,9 @@ from sandgait_deploy import Policy, Refused
 
 from .. import _native
 from ..errors import InvalidRequest
-from ..grounds import ground_name, make_sand
+from ..grounds import KINDS, ground_name, make_sand
 from ..plant import Conditions
 from ..policies import trained
-
-#: Kinds of ground of LeggedVelocity that are no medium, each with its medium and what it has besides
-#: (docs/tasks/LeggedVelocity-v1.md).
-_KINDS = {
-    "dunes": ("poppy-loose", "dunes"),
-    "mixed": ("poppy-loose", "slabs of hard ground"),
-    "any": ("poppy-loose", "stronger sand and hard ground"),
-}
 
 
 @dataclass(frozen=True)
@@ -54,7 +46,7 @@ def ground_of(policy: Policy, given: str | None) -> Ground:
     law = str(learnt.get("law") or "li2013")
     text = str(learnt.get("sand") or "") if given is None else _text(given)
     name = given or str(policy.trained_with["ground"])
-    sand, missing = _KINDS.get(name, (name, "dunes" if given is None and learnt.get("relief") else ""))
+    sand, missing = KINDS.get(name, (name, "dunes" if given is None and learnt.get("relief") else ""))
     if text and sand != "rigid":
         sand = text
     if sand != "rigid":

@@ -19,10 +19,11 @@ pub const ADDED_MASS: RangeInclusive<f64> = -0.3..=1.0;
 /// Largest velocity along an axis that a push gives the base [m/s]: our choice, as above.
 pub const MOST_PUSH: f64 = 5.0;
 
-/// What ground `any` is: the share of episodes on hard ground, and the factors on the stress of loose sand in the others, whose
-/// logarithm is uniform. Our choice: with `sand_range` the strengths differ by a factor of 43. Pushes of a robot's leg into dunes
-/// differ by 18 from the 10th to the 90th percentile (docs/certify.md).
+/// Share of the episodes on ground `any` whose ground is hard: our choice.
 pub const HARD_SHARE: f64 = 0.2;
+/// Factors on the stress of loose sand in its other episodes, whose logarithm is uniform. Our choice: with `sand_range` the
+/// strengths differ by a factor of 43. Pushes of a robot's leg into dunes differ by 18 from the 10th to the 90th percentile
+/// (docs/certify.md).
 pub const STRENGTHS: [f64; 2] = [1.0, 16.0];
 
 /// All ranges from which an episode's values are drawn.

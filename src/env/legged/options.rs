@@ -194,7 +194,7 @@ pub(super) fn driven(tree: &TreeModel, given: Option<f64>, legs: bool) -> Driven
     Driven { by_actions, held: held.into_iter().map(|(i, _)| i).collect() }
 }
 
-/// Kinds of ground besides media: hard ground, slabs of hard ground in sand, and dunes.
+/// Kinds of ground besides media: hard ground, slabs of hard ground in sand, dunes, and what an episode draws.
 const GROUNDS: [&str; 4] = ["rigid", "mixed", DUNES, ANY];
 /// Loose sand that is not flat.
 const DUNES: &str = "dunes";
