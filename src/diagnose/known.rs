@@ -70,11 +70,13 @@ impl<T: Clone> Known<T> {
     /// The result of each key. `compute` gets the places of the keys that are new, each once.
     pub fn of(&self, keys: Vec<Vec<u64>>, compute: impl FnOnce(&[usize]) -> Vec<T>) -> Vec<T> {
         let known = || self.results.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_new = |k: &usize| !known().contains_key(&keys[*k]) && !keys[..*k].contains(&keys[*k]);
+        // Copied at once, because another thread may make the store forget its results during the computation.
+        let mut own: HashMap<&[u64], T> = {
+            let known = known();
+            keys.iter().filter_map(|key| Some((key.as_slice(), known.get(key)?.clone()))).collect()
+        };
+        let is_new = |k: &usize| !own.contains_key(keys[*k].as_slice()) && !keys[..*k].contains(&keys[*k]);
         let new: Vec<usize> = (0..keys.len()).filter(is_new).collect();
-        // During the computation another thread may make the store forget its results, so this copies the known results first.
-        let mut own: HashMap<&[u64], T> =
-            keys.iter().filter_map(|key| Some((key.as_slice(), known().get(key)?.clone()))).collect();
         own.extend(new.iter().map(|&k| keys[k].as_slice()).zip(compute(&new)));
         let mut known = known();
         for &k in &new {

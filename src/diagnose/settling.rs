@@ -5,6 +5,7 @@ use super::gauss_newton::{REACH, at_bound};
 use super::nuisance::Nuisance;
 use super::study::FitInputs;
 use super::whiten::Whitener;
+use crate::parallel;
 
 /// Largest number of rounds for nuisances with a nonlinear effect: our choice; most fits need two.
 const BENDS: usize = 6;
@@ -42,8 +43,7 @@ pub fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> 
         }));
     }
     let (mut best, mut least) = (near, at.objective);
-    for start in &starts {
-        let (fresh, anew) = from(start);
+    for (fresh, anew) in parallel::map(&starts, from) {
         if anew.objective < least {
             (best, least) = (fresh, anew.objective);
         }

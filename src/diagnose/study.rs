@@ -111,11 +111,13 @@ impl<'a> FitInputs<'a> {
         FitInputs { model, nuisances, marginal_slopes, marginal_products: self.marginal_products.clone(), ..*self }
     }
 
-    /// The same study with another whitening and other nuisances.
+    /// The same study with another whitening and other nuisances. The slopes by the coefficients stay.
     pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
-        let (marginal_slopes, marginal_products) = ([Vec::new(), Vec::new()], DMatrix::zeros(0, 0));
-        let mut study = FitInputs { whitener, nuisances: Vec::new(), marginal_slopes, marginal_products, ..*self };
-        study.set_nuisances(nuisances);
+        let coefficients = self.marginal_slopes[0].iter().take(COEFFICIENTS).cloned();
+        let slopes: Vec<Stack> = coefficients.chain(nuisances.iter().map(|n| n.column.clone())).collect();
+        let white: Vec<Stack> = whitener.apply_all(&slopes).into_iter().map(Arc::new).collect();
+        let marginal_products = gram(&white);
+        let mut study = FitInputs { whitener, nuisances, marginal_slopes: [slopes, white], marginal_products, ..*self };
         if let Some(roughness) = self.model.roughness() {
             study.find_steps(roughness, &study.plain().prediction);
         }

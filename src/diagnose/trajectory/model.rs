@@ -38,6 +38,9 @@ pub struct TrajectoryModel<'a> {
     /// See [`Self::moving`].
     pub(super) moving: Vec<f64>,
     pub(super) known: Known<Vec<f64>>,
+    /// The predictions in sand with the stated coefficients and at most one mechanism. There are some hundred of them, and each noise
+    /// that is tried asks for them again.
+    pub(super) known_near_plain: Known<Vec<f64>>,
     /// For the last sands the replay and the predicted numbers of a heavier robot, which nuisances are asked for again and again.
     pub(super) replays: Recent<SandParameters, (Vec<Signals>, Vec<f64>)>,
 }
@@ -99,6 +102,7 @@ impl<'a> TrajectoryModel<'a> {
             asked: None,
             moving: Vec::new(),
             known: Known::up_to(KNOWN),
+            known_near_plain: Known::up_to(KNOWN),
             replays: Recent::up_to(2),
             latch,
             experiment,

@@ -109,7 +109,10 @@ impl TrajectoryModel<'_> {
         // The joints move as logged, so a weak motor changes only the servo's channel.
         let strong = |(m, c): &SandParameters| (Mechanisms { motor_torque_limit: 0.0, ..*m }, *c);
         let keys = states.iter().map(|state| key(&strong(state), &[])).collect();
-        let stacks = self.known.of(keys, |new| {
+        let stated = self.medium().coefficients;
+        let near = |(m, c): &SandParameters| *c == stated && m.values().iter().filter(|v| **v != 0.0).count() < 2;
+        let known = if states.iter().all(near) { &self.known_near_plain } else { &self.known };
+        let stacks = known.of(keys, |new| {
             // Sixteen at a time, because tracks need much memory: our choice.
             let some = |part: &[usize]| {
                 let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
