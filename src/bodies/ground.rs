@@ -92,10 +92,15 @@ impl SandGround {
     }
 
     /// Mechanisms of the description that have no effect here: they need the history of the ground, a body's
-    /// acceleration, or a leg's shape.
+    /// acceleration, a leg's shape, or the size of an intruder.
     pub fn without_effect(&self) -> Vec<&'static str> {
         let m = &self.description.mechanisms;
-        let all = [("footprint", m.footprint), ("concave_fill", m.concave_fill), ("added_mass", m.added_mass)];
+        let all = [
+            ("footprint", m.footprint),
+            ("concave_fill", m.concave_fill),
+            ("added_mass", m.added_mass),
+            ("size_power", m.size_power),
+        ];
         all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
     }
 

@@ -149,8 +149,9 @@ pub struct Arm<'a, const N: usize> {
     pub grounds: &'a [SandBed<Doubles>; N],
     /// The track's accelerations; None without added mass.
     pub accelerations: Option<Accelerations<'a>>,
-    /// [`crate::sand::mechanism_laws::footprint`] of the track's pass.
-    pub footprint: f64,
+    /// Factor on the law's stress: [`crate::sand::mechanism_laws::footprint`] of the track's pass, and
+    /// [`crate::sand::mechanism_laws::of_size`] of the intruder.
+    pub factor: f64,
     /// λ ρ [kg/m³] of inertial drag.
     pub drag: f64,
 }
@@ -336,7 +337,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let site = SegmentState {
                 depth: mean.max(zero),
                 x: splat(arm.track.x_bed) + x,
-                footprint: splat(arm.footprint),
+                footprint: splat(arm.factor),
                 width: splat(arm.cut.width),
                 normal_acceleration: lead * (n[0] * dv[0] + n[1] * dv[1]),
                 passes: splat(f64::from(arm.track.pass.max(1) - 1)),

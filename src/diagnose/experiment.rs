@@ -48,6 +48,16 @@ pub enum Intruder {
     Plate { length: f64, width: f64, thickness: Option<f64> },
 }
 
+impl Intruder {
+    /// Its extent in the plane of motion (a leg's chord) and across [m].
+    pub fn sides(&self) -> [f64; 2] {
+        match *self {
+            Self::Leg { chord, width, .. } => [chord, width],
+            Self::Plate { length, width, .. } => [length, width],
+        }
+    }
+}
+
 /// A table `[body.NAME]`: a body in steady motion.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]

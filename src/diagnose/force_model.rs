@@ -5,6 +5,7 @@ use super::arm::{Arm, IntruderSegments};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, planned, possible};
+use super::form::vary;
 use super::forward::{Division, Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
 use super::known::Recent;
 use super::measuring::Measuring;
@@ -12,6 +13,7 @@ use super::motion::moving;
 use super::nuisance::{Nuisance, NuisanceState};
 use super::observations::Observations;
 use super::response::{CoefficientResponse, is_linear};
+use super::select::OF_SIZE;
 use super::series::root_mean_square;
 use super::shared::{SharedNoise, Uncertainty};
 use super::track::{ArmPose, Track, Wrench};
@@ -19,8 +21,8 @@ use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::mechanism::Mechanisms;
-use crate::sand::mechanism_laws::{SandMechanisms, footprint};
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::mechanism_laws::{SandMechanisms, footprint, of_size};
 use crate::sand::{Coefficients, Law, Medium, Regularization, SandBed, Term};
 use std::collections::BTreeMap;
 
@@ -143,7 +145,7 @@ impl<'a> ForceLogModel<'a> {
             sand: self.sand(m),
             grounds,
             accelerations: (m.added_mass != 0.0).then(|| Accelerations::new(&track.poses, 0.0)),
-            footprint: footprint(m.footprint, track.pass, track.pass_dx),
+            factor: footprint(m.footprint, track.pass, track.pass_dx) * of_size(m.size_power, track.intruder.sides()),
             drag: m.inertial_drag * self.medium().bulk_density,
         }
     }
@@ -242,9 +244,7 @@ impl ForwardModel for ForceLogModel<'_> {
             let all = features.iter().filter(|f| f.name == name).flat_map(|f| f.values.iter().flatten());
             all.copied().fold(1e-3, f64::max)
         };
-        let width = |t: &Track| match t.intruder {
-            Intruder::Leg { width, .. } | Intruder::Plate { width, .. } => width,
-        };
+        let width = |t: &Track| t.intruder.sides()[1];
         [most("speed"), most("depth"), self.tracks.iter().map(width).fold(f64::MAX, f64::min)]
     }
 
@@ -253,7 +253,11 @@ impl ForwardModel for ForceLogModel<'_> {
     }
 
     fn testable(&self) -> Testable {
-        testable(|m| m.intrusion, &self.missing)
+        let mut all = testable(|m| m.intrusion, &self.missing);
+        // With one size it is a part of the sand's strength.
+        let of_size = all.iter_mut().filter(|t| CATALOG[t.0].id == OF_SIZE && !vary(&self.sizes()));
+        of_size.for_each(|t| t.1 = Some("the intruders of each type have one size".into()));
+        all
     }
 
     fn features(&self) -> Vec<Feature> {
@@ -289,9 +293,9 @@ impl ForwardModel for ForceLogModel<'_> {
     }
 
     fn sizes(&self) -> Vec<f64> {
-        let size = |t: &Track| match t.intruder {
-            Intruder::Leg { chord, width, .. } => (chord * width).sqrt(),
-            Intruder::Plate { length, width, .. } => (length * width).sqrt(),
+        let size = |t: &Track| {
+            let [length, width] = t.intruder.sides();
+            (length * width).sqrt()
         };
         // A plate and a leg differ in more than their size, so each is compared with others of its type.
         let plate = |t: &Track| matches!(t.intruder, Intruder::Plate { .. });

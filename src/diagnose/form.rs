@@ -76,6 +76,14 @@ fn quantities(study: &FitInputs) -> Vec<(&'static str, Vec<Vec<f64>>)> {
     all
 }
 
+/// Do these sizes vary enough for a power of the size?
+pub fn vary(sizes: &[f64]) -> bool {
+    let logs: Vec<f64> = sizes.iter().map(|size| size.ln()).collect();
+    let count = logs.len().max(1) as f64;
+    let mean = logs.iter().sum::<f64>() / count;
+    (logs.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / count).sqrt() > VARIES
+}
+
 /// Tests the form of each cause in the sand of a model.
 pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<FreePower> {
     let now = study.with_nuisances(model.nuisances.to_vec());

@@ -11,13 +11,14 @@ use crate::sand::mechanism::{CATALOG, Side};
 pub const MOST: usize = 160;
 
 /// What each mechanism is, in words that need no list of identifiers.
-const PHRASES: [(&str, &str); 18] = [
+const PHRASES: [(&str, &str); 19] = [
     ("inertial_drag", "a drag that grows with the square of the speed"),
     ("concave_fill", "grains held in the concave side of the leg"),
     ("footprint", "ground that was used before"),
     ("added_mass", "sand that is accelerated with the intruder"),
     ("depth_power", "a stress that grows with another power of the depth"),
     ("cohesion", "cohesion of the sand"),
+    ("size_power", "a stress that grows with the size of the intruder"),
     ("scale", "sand of another strength"),
     ("packing_grad", "packing that changes along the bed"),
     ("slope", "a sloping surface"),

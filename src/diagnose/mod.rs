@@ -115,7 +115,7 @@ use noise::{NoiseData, sizes};
 use observations::Observations;
 use opening::{without_verdict, worded};
 use report::{Curves, Diagnosis, Report, Untestable};
-use select::{FACTORS, select};
+use select::{FACTORS, OF_SIZE, select};
 use std::path::Path;
 use study::FitInputs;
 use view::ReportView;
@@ -295,6 +295,7 @@ fn testable(study: &FitInputs) -> Causes {
         // Other kinds of data have no column of this kind, whatever the user logs.
         let columns = study.model.experiment().file.kind == DataKind::Intrusion;
         match why {
+            Some(_) if CATALOG[id].id == OF_SIZE => (),
             Some(_) if moves => causes.unknown.push(id),
             Some(_) if columns && FACTORS.contains(&CATALOG[id].id) => causes.unseen.push(id),
             _ => (),

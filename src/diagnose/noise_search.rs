@@ -15,6 +15,9 @@ const AT_95_PERCENT: f64 = 3.841;
 /// Repetitions that scatter by less than this share of the measured value are copies, or simulations without noise:
 /// our choice, the rounding of a log with six digits.
 const COPIES: f64 = 1e-6;
+/// Noise of a channel that was not measured, in units of the root mean square of all measured values: our choice, so much that
+/// its numbers have no weight.
+const UNMEASURED: f64 = 100.0;
 
 impl NoiseData<'_> {
     /// A first estimate from the size of the differences; the search starts here. How it divides them between grains
@@ -80,6 +83,12 @@ impl NoiseData<'_> {
     ) -> (Noise, f64) {
         let center = self.guess(repeats, clock).pack();
         let (landscape, channels) = (Landscape::new(repeats, clock), self.observations.channels.len());
+        let least = self.least();
+        let of = |p: &[f64]| {
+            let mut noise = Noise::unpack(p, channels, clock);
+            noise.channels.iter_mut().zip(&least).for_each(|(own, least)| own.sensor = own.sensor.max(*least));
+            noise
+        };
         // −2 log likelihood of packed noise, plus a prior about the guess with a standard deviation of three e-folds, which
         // matters only if the data contain no information.
         let deviance = |p: &[f64]| {
@@ -87,11 +96,21 @@ impl NoiseData<'_> {
                 return f64::INFINITY;
             }
             let prior: f64 = p.iter().zip(&center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
-            prior + landscape.deviance(&Noise::unpack(p, channels, clock))
+            prior + landscape.deviance(&of(p))
         };
         let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
         let found = minimise(deviance, from, rounds);
-        (Noise::unpack(&found, channels, clock), deviance(&found))
+        (of(&found), deviance(&found))
+    }
+
+    /// The least noise of the sensor of each channel. One that is 0 throughout was not measured, and must not count; without this its
+    /// noise would be 0, and it would decide alone.
+    fn least(&self) -> Vec<f64> {
+        let values = &self.observations.values;
+        let counted = self.observations.counted(self.observations.units.iter());
+        let all = root_mean_square(counted.map(|k| values[k]));
+        let still = |c: usize| self.observations.units.iter().flat_map(|u| u.block(c)).all(|k| values[k] == 0.0);
+        (0..self.observations.channels.len()).map(|c| if still(c) { UNMEASURED * all } else { 0.0 }).collect()
     }
 
     /// Do the repetitions differ, so that they give a noise floor? Copies do not differ.

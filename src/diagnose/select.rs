@@ -33,6 +33,9 @@ const TRIED: usize = 4;
 /// everywhere, as `scale` does.
 pub const FACTORS: [&str; 2] = ["packing_grad", "footprint"];
 
+/// With intruders of one size this mechanism multiplies all stress by one factor, as a recalibration does, so it is no rival there.
+pub const OF_SIZE: &str = "size_power";
+
 /// All results of one diagnosis.
 pub struct Selection {
     pub fits: Fits,

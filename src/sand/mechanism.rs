@@ -183,6 +183,9 @@ mechanisms! {
         "extra stress per depth −c_b (1 − μ)^1.5 ζ s (−m_z) m on the leading side m where a segment runs backward under its body (s > 0); μ from friction_clip", "Vesic 1973: bearing capacity under an inclined load, square footing; Li, Zhang & Goldman 2013 measured 0.375 ζ for a plate drawn along itself";
     sliding_face: "κ", "1", [0.0, 0.09], 0.03, Sand, intrusion false, walking false, [],
         "stress per depth of a solid body's face = clamp(s/κ, 0, 1) × law − max(1 − |s|/κ, 0) ρ g (n_z² + K0 (1 − n_z²)) (n + μ v̂), s = n·v̂, μ of friction_clip or 0.4", "geostatic stress, K0 = 0.5 (Jaky 1944), Coulomb friction and passive failure are textbook; the threshold κ and its value are ours, from simulated grains of 4 mm";
+    size_power: "q", "1", [-1.0, 2.0], 0.2, Sand, intrusion true, walking false, [],
+        "stress × (w/w0)^q, w = √(length × width) of the intruder (a leg's length is its chord), w0 = 5 cm", "pressure under footings grows with their size (Terzaghi 1943: ½ ρ g B N_γ); power law ours, 1.0 for discs of 60 to 100 mm measured at Carnegie Mellon",
+        unfelt "it is defined for an intruder on an arm, not for the bodies of a robot";
     bias_x: "b_x", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],
         "constant offset of Fx", "force sensor zero";
     bias_z: "b_z", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],

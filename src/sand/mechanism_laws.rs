@@ -16,6 +16,8 @@ pub use sliding::{RestingShare, SlidingFace, left_force};
 pub const DEPTH_REFERENCE: f64 = 0.02;
 /// Distance [m] over which a footprint fades: our choice, because no published law was found.
 const FOOTPRINT_REACH: f64 = 0.03;
+/// Size [m] at which `size_power` does not change the stress: our choice, as for the depth.
+const SIZE_REFERENCE: f64 = 0.05;
 /// Length [m] that `packing_grad` refers to: our choice, because it only fixes the unit of g.
 const PACKING_LENGTH: f64 = 0.1;
 /// Speed [m/s] that `rate_log` refers to: our choice, about the tip speed in the leg experiment of Li et al. 2012.
@@ -116,6 +118,11 @@ impl<R: Real> StressModel<R> for Plain {
 /// 1 − κ e^(−pass_dx/3 cm) from the second pass on, 1 before.
 pub fn footprint(kappa: f64, pass: u32, pass_dx: f64) -> f64 {
     if pass < 2 { 1.0 } else { 1.0 - kappa * (-pass_dx.abs() / FOOTPRINT_REACH).exp() }
+}
+
+/// (w/w0)^q, w = √(length × width) the size of an intruder with these sides [m].
+pub fn of_size(power: f64, [length, width]: [f64; 2]) -> f64 {
+    if power == 0.0 { 1.0 } else { ((length * width).sqrt() / SIZE_REFERENCE).powf(power) }
 }
 
 /// Depth [m] of the point (x, z) below a surface through the origin that rises toward +x by σ, given as (sin σ, cos σ):

@@ -6,6 +6,7 @@ mod input;
 mod long;
 mod other_laboratory;
 mod recalibration;
+mod sizes;
 #[path = "../testbed/mod.rs"]
 mod testbed;
 #[path = "../testbed/truth.rs"]

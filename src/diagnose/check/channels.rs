@@ -19,7 +19,8 @@ pub struct Channels<'a> {
 impl Channels<'_> {
     pub fn check(&self) -> Vec<Finding> {
         let count = self.observations.channels.len();
-        let broken = (0..count).flat_map(|c| [self.saturated(c), self.outlier(c), self.still(c), self.offset(c)]);
+        let of = |c| [self.empty(c), self.saturated(c), self.outlier(c), self.still(c), self.offset(c)];
+        let broken = (0..count).flat_map(of);
         broken.chain([self.late()]).flatten().collect()
     }
 
@@ -46,6 +47,13 @@ impl Channels<'_> {
     /// Rows of the samples from `a` to `b` of a trial.
     fn rows(&self, trial: usize, a: usize, b: usize) -> [u64; 2] {
         [a, b].map(|i| self.trials[trial].lines[self.kept[trial][i]])
+    }
+
+    /// A channel that is always 0.
+    fn empty(&self, channel: usize) -> Option<Finding> {
+        let empty = self.units().flat_map(|(_, u)| self.measured(u, channel)).all(|v| *v == 0.0);
+        let what = "is 0 in all rows, so it counts as not measured";
+        empty.then(|| Finding::new(Warn, self.name(channel), what, "log the sensor's readings"))
     }
 
     /// The largest value of the file, of either sign, is reached exactly in many samples that follow each other. Three together in

@@ -93,6 +93,7 @@ pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
         ("footprint", m.footprint),
         ("concave_fill", m.concave_fill),
         ("added_mass", m.added_mass),
+        ("size_power", m.size_power),
     ];
     all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
 }
