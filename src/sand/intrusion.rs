@@ -2,7 +2,8 @@
 
 use super::contact::{Regularization, SandBed};
 use super::description::SandDescription;
-use super::mechanism_laws::{SandMechanisms, SegmentState};
+use super::mechanism::Mechanisms;
+use super::mechanism_laws::{SandMechanisms, SegmentState, of_size};
 use super::shape::{LegShape, Segment, straight};
 use crate::error::{Result, check_range};
 use crate::number::Vec3;
@@ -81,7 +82,10 @@ impl Rotation {
         check_range("hip-height", self.hip_height, -1.0..=1.0)?;
         check_range("omega", self.omega, -100.0..=100.0)?;
         let (medium, mechanisms) = (sand.medium(), &sand.mechanisms);
-        let mut ground = SandBed::new(sand.law, &medium, &Regularization::default()).with(mechanisms, &medium);
+        // The size of the leg gives all of its stress one factor.
+        let scale = (1.0 + mechanisms.scale) * of_size(mechanisms.size_power, [self.chord, self.width]) - 1.0;
+        let acting = Mechanisms { scale, ..*mechanisms };
+        let mut ground = SandBed::new(sand.law, &medium, &Regularization::default()).with(&acting, &medium);
         ground.mechanisms = ground.mechanisms.map(SandMechanisms::for_prescribed_motion);
         let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
         // Does the concave side lead? Sand fills a leg that bulges forward and turns backward, or the reverse.

@@ -227,6 +227,8 @@ impl Trial {
         depth *= self.outside(p, depth, h);
         let mut factor = (1.0 + h.get("scale")) * (1.0 + h.get("packing_grad") * (self.x_bed + p[0]) / 0.1);
         factor *= 1.0 + h.get("rate_log") * (speed / 0.01).ln_1p();
+        let length = if self.leg { CHORD } else { PLATE };
+        factor *= ((length * WIDTH).sqrt() / 0.05).powf(h.get("size_power"));
         if self.pass >= 2 {
             factor *= 1.0 - h.get("footprint") * (-self.pass_dx / 0.03).exp();
         }
