@@ -208,7 +208,8 @@ fn the_search_beats_a_grid() {
 /// divides the leg into fewer segments, and has separate code for slopes and filled legs.
 #[test]
 fn forces_with_mechanisms_agree_with_the_diagnosis() {
-    let acting = ["inertial_drag", "concave_fill", "depth_power", "cohesion", "scale", "packing_grad", "slope"];
+    let acting =
+        ["inertial_drag", "concave_fill", "depth_power", "cohesion", "scale", "packing_grad", "slope", "size_power"];
     let sensors = ["bias_x", "bias_z", "sensor_tilt", "depth_zero", "delay", "lowpass", "compliance"];
     let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\n\
                 [shape.leg]\ntype = \"leg\"\nchord = 0.076\nwidth = 0.025\nxi_deg = -45.0\n";
