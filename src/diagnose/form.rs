@@ -5,6 +5,7 @@
 use super::evidence::EvidenceTable;
 use super::fit::slope;
 use super::left_out::{Contender, LawColumn};
+use super::series::root_mean_square;
 use super::study::FitInputs;
 use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use crate::student;
@@ -78,10 +79,9 @@ fn quantities(study: &FitInputs) -> Vec<(&'static str, Vec<Vec<f64>>)> {
 
 /// Do these sizes vary enough for a power of the size?
 pub fn vary(sizes: &[f64]) -> bool {
-    let logs: Vec<f64> = sizes.iter().map(|size| size.ln()).collect();
-    let count = logs.len().max(1) as f64;
-    let mean = logs.iter().sum::<f64>() / count;
-    (logs.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / count).sqrt() > VARIES
+    let logs = sizes.iter().map(|size| size.ln());
+    let mean = logs.clone().sum::<f64>() / sizes.len().max(1) as f64;
+    root_mean_square(logs.map(|v| v - mean)) > VARIES
 }
 
 /// Tests the form of each cause in the sand of a model.

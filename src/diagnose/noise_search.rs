@@ -106,11 +106,10 @@ impl NoiseData<'_> {
     /// The least noise of the sensor of each channel. One that is 0 throughout was not measured, and must not count; without this its
     /// noise would be 0, and it would decide alone.
     fn least(&self) -> Vec<f64> {
-        let values = &self.observations.values;
         let counted = self.observations.counted(self.observations.units.iter());
-        let all = root_mean_square(counted.map(|k| values[k]));
-        let still = |c: usize| self.observations.units.iter().flat_map(|u| u.block(c)).all(|k| values[k] == 0.0);
-        (0..self.observations.channels.len()).map(|c| if still(c) { UNMEASURED * all } else { 0.0 }).collect()
+        let all = root_mean_square(counted.map(|k| self.observations.values[k]));
+        let of = |c: usize| if self.observations.is_empty(c) { UNMEASURED * all } else { 0.0 };
+        (0..self.observations.channels.len()).map(of).collect()
     }
 
     /// Do the repetitions differ, so that they give a noise floor? Copies do not differ.

@@ -103,6 +103,11 @@ impl Observations {
         groups
     }
 
+    /// Is the channel 0 in all samples? Then it was not measured.
+    pub fn is_empty(&self, channel: usize) -> bool {
+        self.units.iter().flat_map(|u| u.block(channel)).all(|k| self.values[k] == 0.0)
+    }
+
     /// Places in a stack of the numbers of some units that count in the error.
     pub fn counted<'a>(&'a self, units: impl Iterator<Item = &'a Unit>) -> impl Iterator<Item = usize> {
         let channels = self.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);

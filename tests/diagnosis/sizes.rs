@@ -1,5 +1,5 @@
-//! A stress that grows with the size of the intruder, hidden in pushes of square plates. The forces are those of the specification,
-//! computed here by code that shares none with `src/`.
+//! A stress that grows with the size of the intruder, hidden in pushes of square plates. The forces are those of the test
+//! bed, which shares no code with `src/`.
 
 use crate::{file, sound, testbed};
 use rand::SeedableRng;
@@ -9,28 +9,11 @@ use sandgait::diagnose::report::Report;
 use sandgait::diagnose::verdict::Verdict;
 use std::fmt::Write;
 
-/// Loosely packed poppy seeds [N/m³]: A00, A10, B11, B01, B₋₁₁, C11, C01, C₋₁₁, D10.
-const TABLE: [f64; 9] = [51e3, 47e3, 53e3, 83e3, 20e3, -26e3, 57e3, 0.0, 25e3];
 /// Attack angle, intrusion angle [rad] and speed [m/s] of the pushes.
 const PUSHES: [[f64; 3]; 4] =
     [[0.0, std::f64::consts::FRAC_PI_2, 0.05], [0.5, 1.0, 0.1], [-0.5, 1.0, 0.1], [0.8, 0.6, 0.3]];
 const SAMPLES: usize = 40;
 const PIECES: usize = 51;
-
-/// Stress per depth [N/m³], along x and z.
-fn stress([beta, gamma, _]: [f64; 3]) -> [f64; 2] {
-    let t = &TABLE;
-    let z = t[0]
-        + t[1] * (2.0 * beta).cos()
-        + t[2] * (2.0 * beta + gamma).sin()
-        + t[3] * gamma.sin()
-        + t[4] * (gamma - 2.0 * beta).sin();
-    let x = t[5] * (2.0 * beta + gamma).cos()
-        + t[6] * gamma.cos()
-        + t[7] * (gamma - 2.0 * beta).cos()
-        + t[8] * (2.0 * beta).sin();
-    [-x, z]
-}
 
 /// Diagnoses pushes of plates with these sides [m], in sand whose stress is × (side / 5 cm)^`power`. Trials scatter by 3 %, samples by
 /// 1 % and 5 mN. `sideways`: factor on Fx.
@@ -59,7 +42,8 @@ fn write_trial(
     [strength, surface, sideways]: [f64; 3],
     random: &mut Xoshiro256PlusPlus,
 ) {
-    let ([beta, gamma, speed], per_depth) = (push, stress(push));
+    let [beta, gamma, speed] = push;
+    let [ax, az] = testbed::stress_per_depth(&testbed::TABLE, beta, gamma);
     let duration = 0.06 / speed;
     for i in 0..SAMPLES {
         let t = duration * i as f64 / (SAMPLES - 1) as f64;
@@ -69,7 +53,7 @@ fn write_trial(
             (-(z + surface + along * beta.sin())).max(0.0) * side * side / PIECES as f64
         };
         let load = strength * (0..PIECES).map(piece).sum::<f64>();
-        let force = per_depth.map(|f| f * load);
+        let force = [-ax * load, az * load];
         let scatter = 5e-3 + 0.01 * force[1].abs();
         let [fx, fz] = force.map(|f| f + scatter * testbed::normal(random));
         let (vx, vz, fx) = (speed * gamma.cos(), -speed * gamma.sin(), sideways * fx);

@@ -43,7 +43,8 @@ length = 0.038
 width = 0.025
 "#;
 
-const TABLE: [f64; 9] = [51e3, 47e3, 53e3, 83e3, 20e3, -26e3, 57e3, 0.0, 25e3];
+/// Coefficients of loosely packed poppy seeds [N/m³].
+pub const TABLE: [f64; 9] = [51e3, 47e3, 53e3, 83e3, 20e3, -26e3, 57e3, 0.0, 25e3];
 const DENSITY: f64 = 640.0;
 const CHORD: f64 = 0.076;
 const WIDTH: f64 = 0.025;
@@ -96,6 +97,20 @@ pub const ARM: f64 = 0.05;
 
 pub fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     StandardNormal.sample(rng)
+}
+
+/// α_x and α_z [N/m³] for motion toward +x.
+pub fn stress_per_depth(c: &[f64; 9], beta: f64, gamma: f64) -> [f64; 2] {
+    let az = c[0]
+        + c[1] * (2.0 * beta).cos()
+        + c[2] * (2.0 * beta + gamma).sin()
+        + c[3] * gamma.sin()
+        + c[4] * (gamma - 2.0 * beta).sin();
+    let ax = c[5] * (2.0 * beta + gamma).cos()
+        + c[6] * gamma.cos()
+        + c[7] * (gamma - 2.0 * beta).cos()
+        + c[8] * (2.0 * beta).sin();
+    [ax, az]
 }
 
 impl Trial {
@@ -210,15 +225,7 @@ impl Trial {
             gamma = std::f64::consts::PI - gamma;
             beta = -beta;
         }
-        let az = c[0]
-            + c[1] * (2.0 * beta).cos()
-            + c[2] * (2.0 * beta + gamma).sin()
-            + c[3] * gamma.sin()
-            + c[4] * (gamma - 2.0 * beta).sin();
-        let ax = c[5] * (2.0 * beta + gamma).cos()
-            + c[6] * gamma.cos()
-            + c[7] * (gamma - 2.0 * beta).cos()
-            + c[8] * (2.0 * beta).sin();
+        let [ax, az] = stress_per_depth(c, beta, gamma);
         let n = [tilt.sin(), -tilt.cos()];
         let vn = v[0] * n[0] + v[1] * n[1];
         let n = if vn < 0.0 { n.map(|c| -c) } else { n };

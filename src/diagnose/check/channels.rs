@@ -51,9 +51,10 @@ impl Channels<'_> {
 
     /// A channel that is always 0.
     fn empty(&self, channel: usize) -> Option<Finding> {
-        let empty = self.units().flat_map(|(_, u)| self.measured(u, channel)).all(|v| *v == 0.0);
         let what = "is 0 in all rows, so it counts as not measured";
-        empty.then(|| Finding::new(Warn, self.name(channel), what, "log the sensor's readings"))
+        self.observations
+            .is_empty(channel)
+            .then(|| Finding::new(Warn, self.name(channel), what, "log the sensor's readings"))
     }
 
     /// The largest value of the file, of either sign, is reached exactly in many samples that follow each other. Three together in
