@@ -92,16 +92,10 @@ impl SandGround {
     }
 
     /// Mechanisms of the description that have no effect here: they need the history of the ground, a body's
-    /// acceleration, a leg's shape, or the size of an intruder.
+    /// acceleration, a leg's shape, or the size of an intruder. A slope has an effect, unlike on a body in steady motion.
     pub fn without_effect(&self) -> Vec<&'static str> {
-        let m = &self.description.mechanisms;
-        let all = [
-            ("footprint", m.footprint),
-            ("concave_fill", m.concave_fill),
-            ("added_mass", m.added_mass),
-            ("size_power", m.size_power),
-        ];
-        all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
+        let all = crate::sand::intruder::without_effect(&self.description);
+        all.into_iter().filter(|id| *id != "slope").collect()
     }
 
     /// Height of the surface [m] at a place, and its upward normal.
