@@ -44,6 +44,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
         let n = &study.nuisances[k];
         n.sd == n.stated_sd && n.sd > 0.0 && kind(n.id).is_some_and(|k| !k.remedy.is_empty())
     };
+    let rough = study.model.roughness().is_some();
     let mut promising: Vec<(usize, f64)> = (0..study.nuisances.len()).filter(open).map(|k| (k, gain(k))).collect();
     // Of equally promising ones, those of all channels or shapes come first. Filters take the place of a long delay, and from there no
     // derivative shows it, so a delay is always tried.
@@ -51,9 +52,10 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     let late = |k: usize| common(k) && study.nuisances[k].id == "delay";
     promising.retain(|p| p.1 > WORTH || late(p.0));
     promising.sort_by(|a, b| late(b.0).cmp(&late(a.0)).then(b.1.total_cmp(&a.1)).then(common(b.0).cmp(&common(a.0))));
-    promising.truncate(MOST[usize::from(study.model.roughness().is_some())]);
+    promising.truncate(MOST[usize::from(rough)]);
     // Others may stand in for a large effect that is not linear, so its fit begins anew, without any of them, and at larger values.
-    let far = |k: usize| bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k);
+    // Each fit of a rough model takes simulations, so its fits begin at the base alone.
+    let far = |k: usize| !rough && (bound(base) || common(k) || promising.iter().take(FAR_FITTED).any(|p| p.0 == k));
     let free = study.observations.repetitions().iter().map(|g| g.len() as f64 - 1.0).sum::<f64>().max(2.0);
     // An effect whose value is not certain explains nothing, as a cause with the value of the plain sand does.
     let certain = |own: &MeasuredFit, index: usize| {

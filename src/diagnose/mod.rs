@@ -67,6 +67,7 @@ mod noise_search;
 mod normal_equations;
 pub mod nuisance;
 mod observations;
+mod one_fault;
 mod opening;
 mod page;
 mod profile;

@@ -124,8 +124,10 @@ macro_rules! kinds {
         /// within 0.05 rad/s and 0.1 m/s²; logged torques within 2 % of the true torques and of the torques that servos
         /// request; offsets of torques and friction of joints within 5 % of the torques' rms; beds that scatter by 5 %; errors of the
         /// simulation of 10 % of a channel's standard deviation within a stride, independent between parts of a stride. Two
-        /// simulators of the same robot on the same sand differ by half of that, but the differences in neighbouring parts are similar.
-        /// The mass is known within 2 %; as an answer, a payload has no bound.
+        /// simulators of the same robot on the same sand differ by half of that, but the differences in neighbouring parts are similar. All
+        /// torques together differ by 1 %.
+        /// Torques are logged within 5 ms of the joints. The mass and the size of the feet are known within 2 %, the base's centre of
+        /// mass within 5 % of the legs' length; as an answer, none of them has a bound.
         const KINDS: &[NuisanceKind] = &[$(NuisanceKind {
             id: $id, unit: $unit, sd: $sd, kind: CauseKind::$kind, mechanism: &$mechanism, geometry: $geometry, words: $words,
             remedy: $remedy,
@@ -158,8 +160,12 @@ kinds! {
     "servo_gain" "1" 0.02 Robot false [], "motors give another torque than requested", "Check the motors' gains and supply, or train with hardware.toml";
     "torque_offset" "1" 0.05 Robot false [], "the zero of the torques is off", "Calibrate the torque sensors";
     "friction" "N·m" 0.05 Robot false [], "the joints have friction", "Train with hardware.toml";
+    "torque_delay" "s" 5e-3 Robot false [], "the logged torques are late", "Shift the torques' rows earlier by the value";
     "payload" "1" 0.02 Robot true [], "the robot carries more or less than its description", "Weigh the robot, and state its mass";
+    "center_of_mass" "1" 0.05 Robot true [], "the base's centre of mass is elsewhere than described", "Balance the robot, and state where its centre of mass is";
+    "foot_size" "1" 0.02 Robot true [], "the feet have another size than described", "Measure the feet, and state their size";
     "bed_strength" "1" 0.05 Measurement false [], "beds differ in strength", "Prepare the beds alike";
+    "model_scale" "1" 0.01 Robot false [], "the simulated torques are inexact", "";
     "model_error" "1" 0.1 Robot false [], "the simulation is inexact", "";
 }
 

@@ -9,6 +9,7 @@ use super::measured::{MeasuredFit, WIDE};
 use super::nested::{Folds, Nested};
 use super::normal_equations::NormalEquations;
 use super::nuisance::Nuisance;
+use super::one_fault::{as_described, one_fault};
 use super::profile;
 use super::rows::{Fits, Place};
 use super::speed_exponent::{self, SpeedExponent};
@@ -109,6 +110,14 @@ impl Selection {
         Self { ruling, standing, withheld, nested, ..self }
     }
 
+    /// Does it name what predicts better than the plain model, with certain values?
+    fn stands(&self) -> bool {
+        let better = self.entries[self.ruling.model].beats[0] && self.nested.reduction().1[0] > 0.0;
+        matches!(self.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
+            && better
+            && self.standing.found.iter().all(|found| found.certain)
+    }
+
     /// The effect of measuring that this selection names alone.
     fn establishes(&self) -> Option<usize> {
         let effects = &self.entries[*self.ruling.set.first()?].effects;
@@ -123,18 +132,23 @@ impl Selection {
 /// Runs the whole selection. Effects of measuring are marginalised within their stated priors. If one of them is the answer because it
 /// is far larger than stated, it becomes a part of every model, and the causes are compared again.
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
-    let mut selection = attempt(study, study, asked, progress)?;
     let mut nuisances = study.nuisances.clone();
+    let mut alone = None;
+    if let Some((one, causes)) = one_fault(study, asked) {
+        let alone_asked = SearchSpace { ids: &causes, ..*asked };
+        let found = attempt(&one, &as_described(study), &alone_asked, progress)?;
+        if found.stands() {
+            nuisances.clone_from(&one.nuisances);
+            alone = Some(found);
+        }
+    }
+    let mut selection = alone.map_or_else(|| attempt(study, study, asked, progress), Ok)?;
     for _ in 0..ESTABLISHED {
         let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
         let next = attempt(&wide, study, asked, &Later(progress))?;
-        let better = next.entries[next.ruling.model].beats[0] && next.nested.reduction().1[0] > 0.0;
-        if !matches!(next.ruling.verdict, Verdict::Named | Verdict::Ambiguous)
-            || !better
-            || next.standing.found.iter().any(|found| !found.certain)
-        {
+        if !next.stands() {
             break;
         }
         selection = next;

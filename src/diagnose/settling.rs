@@ -34,8 +34,9 @@ pub fn bent(study: &FitInputs, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> 
     let mut still = fit.clone();
     still.deviations[COEFFICIENTS..].fill(0.0);
     let mut starts = vec![still.clone()];
-    for (k, n) in study.nuisances.iter().enumerate().filter(|(_, n)| n.sd > n.stated_sd && n.nearly_linear.is_finite())
-    {
+    // Each fit of a rough model takes simulations, so there are no far ones.
+    let far = |n: &Nuisance| study.model.roughness().is_none() && n.sd > n.stated_sd && n.nearly_linear.is_finite();
+    for (k, n) in study.nuisances.iter().enumerate().filter(|(_, n)| far(n)) {
         starts.extend(FAR[1..].iter().map(|far| {
             let mut start = still.clone();
             start.deviations[COEFFICIENTS + k] = far * n.stated_sd / n.sd;

@@ -139,6 +139,17 @@ impl<'a> FitInputs<'a> {
         FitInputs { coefficient_sd: 0.0, ..self.with_marginals(self.nuisances.clone(), slopes) }
     }
 
+    /// The same study in which the stress coefficients have this share of their prior standard deviation.
+    pub fn nearly_stated(&self, share: f64) -> Self {
+        let less = |(k, slope): (usize, &Stack)| match k < COEFFICIENTS {
+            true => Arc::new(slope.iter().map(|s| share * s).collect()),
+            false => slope.clone(),
+        };
+        let slopes = self.marginal_slopes[0].iter().enumerate().map(less).collect();
+        let coefficient_sd = share * self.coefficient_sd;
+        FitInputs { coefficient_sd, ..self.with_marginals(self.nuisances.clone(), slopes) }
+    }
+
     /// The same study with other nuisances and derivatives by coefficients and nuisances. What is known of a derivative stays.
     fn with_marginals(&self, nuisances: Vec<Nuisance>, slopes: Vec<Stack>) -> Self {
         let SlopeProducts { white, products } = self.products_of(&slopes);

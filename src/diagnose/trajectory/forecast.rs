@@ -19,8 +19,6 @@ use std::f64::consts::TAU;
 const ROUGHNESS: f64 = 4.0;
 /// Relative step of the sand's strength for the derivative by the strength of the bed: our choice, about the scatter of beds.
 const STRENGTH_STEP: f64 = 0.05;
-/// Relative step of the robot's mass for the derivative by the mass: our choice, as for the strength.
-const MASS_STEP: f64 = 0.05;
 
 impl ForwardModel for TrajectoryModel<'_> {
     fn stopped(&self) -> bool {
@@ -54,7 +52,7 @@ impl ForwardModel for TrajectoryModel<'_> {
             };
             common.push(self.stack(|_, c, _| if c == channel { size } else { 0.0 }));
         }
-        common.push(slope(&self.replayed(sand, 0.0, 4.0, &self.hardware), prediction, 1.0));
+        common.push(slope(&self.replayed(sand, 4.0, &self.hardware), prediction, 1.0));
         let share = self.prior("model_error");
         let swing = |block: &[f64]| {
             let mean = block.iter().sum::<f64>() / block.len() as f64;
@@ -67,26 +65,22 @@ impl ForwardModel for TrajectoryModel<'_> {
 
     fn nuisances(&self, sand: &SandParameters, values: &[NuisanceState]) -> Vec<Nuisance> {
         let here = self.predict(sand);
-        let replays = self.replays.of(sand, || {
-            let tracks = self.tracks(&[*sand], 0.0, 1.0).swap_remove(0);
-            (tracks, self.replayed(sand, MASS_STEP, 1.0, &self.hardware))
-        });
-        let (tracks, heavier) = &*replays;
-        let mut all = self.mounting(tracks, values);
+        let tracks = self.replays.of(sand, || self.tracks(&[(*sand, None)], 1.0).swap_remove(0));
+        let mut all = self.mounting(&tracks, values);
+        all.push(self.torque_delay(&tracks, values));
         // A wrong torque constant changes the logged torques of a given motion. The ratio of logged to requested torques is
         // a separate nuisance, because if a drive also computes with the wrong constant, the logged torque equals the
-        // requested torque.
+        // requested torque. An error of the simulated torques looks like a wrong constant, so no log gives the constant better.
         let servo = self.layout.servo_channel().map_or(0..0, |c| c..c + 1);
-        let gains = [("torque_constant", 0..self.layout.joints), ("servo_gain", servo)];
+        let torques = 0..self.layout.joints;
+        let gains = [("torque_constant", torques.clone()), ("model_scale", torques), ("servo_gain", servo)];
         for (id, own) in gains.into_iter().filter(|g| !g.1.is_empty()) {
             let of = |(k, v): (usize, &f64)| if own.contains(&(k % self.span() / BINS)) { *v } else { 0.0 };
             let gain = here.iter().enumerate().map(of).collect();
             all.push(Nuisance::linear(id, "1", self.prior(id), gain));
         }
         all.push(self.friction(self.torque_rms(&here)));
-        let mass = self.mass();
-        let by_mass = slope(heavier, &here, MASS_STEP * mass);
-        all.push(Nuisance::linear("payload", "kg", self.prior("payload") * mass, by_mass));
+        all.extend(self.described(sand, &here, values));
         all.retain(|n| n.sd > 0.0 && !self.is_given(n.id, n.of.as_deref()));
         all
     }
@@ -110,7 +104,7 @@ impl ForwardModel for TrajectoryModel<'_> {
 
     fn with_hardware(&self, sand: &SandParameters, found: &HardwareDescription) -> Option<Vec<f64>> {
         let hardware = LoggedHardware::of(found);
-        (hardware != self.hardware).then(|| self.replayed(sand, 0.0, 1.0, &hardware))
+        (hardware != self.hardware).then(|| self.replayed(sand, 1.0, &hardware))
     }
 
     fn finish(&self, sand: &mut SandDescription) {

@@ -16,6 +16,8 @@ const TURN_STEP: f64 = 1e-3;
 const DELAY_STEP: f64 = 1e-3;
 /// Step of the IMU's blur for derivatives [s²]: our choice, the blur of a filter of 2 ms.
 const BLUR_STEP: f64 = 4e-6;
+/// A channel is early by at most this time [s]: our choice.
+const EARLIEST: f64 = -0.01;
 /// Joint speed over which the friction changes its sign [rad/s]: our choice, below the speeds of a stride.
 const FRICTION_SPEED: f64 = 0.5;
 
@@ -76,13 +78,12 @@ impl TrajectoryModel<'_> {
             ("imu_blur", None, BLUR_STEP),
         ];
         let given = self.hardware.mounting;
-        // Limits the delay: the simulation ends `BEYOND` after the window, and a log is early by at most 10 ms: our
-        // choice.
+        // Limits the delay: the simulation ends `BEYOND` after the window.
         let mounted = |v: [f64; 5]| {
             let low_pass = v[4].max(0.0).sqrt().min(BEYOND);
-            let delay = (v[3] - low_pass).clamp(-0.01, BEYOND);
+            let delay = (v[3] - low_pass).clamp(EARLIEST, BEYOND);
             let turn = [0, 1, 2].map(|k| given.turn[k] + v[k]);
-            Mounting { turn, delay: given.delay + delay, low_pass: given.low_pass + low_pass }
+            Mounting { turn, delay: given.delay + delay, low_pass: given.low_pass + low_pass, ..given }
         };
         let at = ALL.map(|(id, axis, _)| estimate(values, id, axis));
         let here = self.read(tracks, mounted(at));
@@ -108,6 +109,19 @@ impl TrajectoryModel<'_> {
             all.insert(0, first);
         }
         all
+    }
+
+    /// Delay of the logged torques, linearised at its present estimate.
+    pub(super) fn torque_delay(&self, tracks: &[Signals], values: &[NuisanceState]) -> Nuisance {
+        const ID: &str = "torque_delay";
+        let mounting = self.hardware.mounting;
+        let late = |by: f64| self.read(tracks, Mounting { torque_delay: by.clamp(EARLIEST, BEYOND), ..mounting });
+        let at = estimate(values, ID, None);
+        let (none, there) = (late(0.0), late(at));
+        let rate = slope(&late(at + DELAY_STEP), &there, DELAY_STEP);
+        let bend = there.iter().zip(&none).zip(&rate).map(|((there, none), rate)| there - none - at * rate).collect();
+        let sd = self.prior(ID);
+        Nuisance { nearly_linear: 0.25 * sd, ..Nuisance::linear(ID, Priors::unit(ID), sd, rate).bent(bend) }
     }
 }
 

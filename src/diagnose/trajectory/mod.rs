@@ -6,6 +6,7 @@
 //! bed, offsets of the sensors) are errors that all strides of this run share.
 
 mod consistency;
+mod description;
 mod forecast;
 #[cfg(test)]
 mod generate;

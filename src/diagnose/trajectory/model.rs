@@ -41,8 +41,10 @@ pub struct TrajectoryModel<'a> {
     /// The predictions in sand with the stated coefficients and at most one mechanism. There are some hundred of them, and each noise
     /// that is tried asks for them again.
     pub(super) known_near_plain: Known<Vec<f64>>,
-    /// For the last sands the replay and the predicted numbers of a heavier robot, which nuisances are asked for again and again.
-    pub(super) replays: Recent<SandParameters, (Vec<Signals>, Vec<f64>)>,
+    /// Predictions for robots that differ from their description, which nuisances are asked for again and again.
+    pub(super) known_differences: Known<Vec<f64>>,
+    /// The replays in the last sands, which nuisances are asked for again and again.
+    pub(super) replays: Recent<SandParameters, Vec<Signals>>,
 }
 
 impl<'a> TrajectoryModel<'a> {
@@ -103,6 +105,7 @@ impl<'a> TrajectoryModel<'a> {
             moving: Vec::new(),
             known: Known::up_to(KNOWN),
             known_near_plain: Known::up_to(KNOWN),
+            known_differences: Known::up_to(2 * KNOWN),
             replays: Recent::up_to(2),
             latch,
             experiment,

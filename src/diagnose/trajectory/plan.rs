@@ -49,7 +49,7 @@ impl TrajectoryModel<'_> {
         let known: Option<Vec<f64>> = self.runs.iter().map(|r| r.frequency).collect();
         let known = known.filter(|k| k.iter().all(|f| f.abs() > 0.02))?;
         let turns = |run: &Run| run.q.iter().all(|q| (q[q.len() - 1] - q[0]).abs() > TAU);
-        if matches!(self.bodies[0], ReplayRobot::Tree(_)) || !self.runs.iter().all(turns) {
+        if matches!(self.bodies[0], ReplayRobot::Tree(..)) || !self.runs.iter().all(turns) {
             return None;
         }
         let [low, high] = ends(known.iter().map(|f| f.abs()));
@@ -80,7 +80,7 @@ impl TrajectoryModel<'_> {
 
     /// The torques that the joints' motion needs on plain sand. The servos would request these torques from the motors.
     fn needed(&self) -> Option<RequestedTorques> {
-        let tracks = self.tracks(&[self.plain_sand()], 0.0, 1.0).swap_remove(0);
+        let tracks = self.tracks(&[(self.plain_sand(), None)], 1.0).swap_remove(0);
         let of = |window: &Window, track: &Signals| -> Option<Vec<Vec<f64>>> {
             let run = &self.runs[window.run];
             let tick = |t: f64| (((t - window.from) / Scene::DEFAULT_DT).round() as usize).max(1) - 1;

@@ -33,7 +33,8 @@ const CHECK_INTERVAL: usize = 256;
 #[derive(Clone)]
 pub enum ReplayRobot {
     Legged(Box<Robot>),
-    Tree(Arc<TreeModel>),
+    /// A robot from a URDF or MJCF file, and the shapes that touch sand: indices of a body and of one of its shapes.
+    Tree(Arc<TreeModel>, Arc<Vec<(usize, usize)>>),
 }
 
 impl ReplayRobot {
@@ -54,13 +55,13 @@ impl ReplayRobot {
         let import = robots::load(Path::new(name))?;
         let touching = import.touching(touches)?;
         let plates = of_touching(&import.tree, &touching, None)?;
-        Ok(Self::Tree(Arc::new(TreeModel::new(import.tree, plates)?)))
+        Ok(Self::Tree(Arc::new(TreeModel::new(import.tree, plates)?), Arc::new(touching)))
     }
 
     pub fn joint_names(&self) -> Vec<String> {
         match self {
             Self::Legged(robot) => robot.joint_names(),
-            Self::Tree(tree) => tree.tree.joints().map(|j| j.name.clone()).collect(),
+            Self::Tree(tree, _) => tree.tree.joints().map(|j| j.name.clone()).collect(),
         }
     }
 
@@ -68,7 +69,7 @@ impl ReplayRobot {
     pub fn with_leg(&self, leg: Option<&str>) -> Result<Self> {
         match (self, leg) {
             (Self::Legged(robot), Some(leg)) => Ok(Self::Legged(Box::new(robot.as_ref().clone().with_leg_shape(leg)?))),
-            (Self::Tree(_), Some(_)) => {
+            (Self::Tree(..), Some(_)) => {
                 Err(Error::invalid("leg", "only built-in robots and robots from TOML take a leg"))
             }
             (own, None) => Ok(own.clone()),
@@ -79,7 +80,7 @@ impl ReplayRobot {
     pub fn gains(&self) -> Vec<[f64; 2]> {
         match self {
             Self::Legged(robot) => vec![[robot.servo.kp, robot.servo.kd]; robot.joint_names().len()],
-            Self::Tree(tree) => {
+            Self::Tree(tree, _) => {
                 let known = |j: &crate::sim::tree::TreeJoint| [j.kp.unwrap_or(0.0), j.kd.unwrap_or(0.0)];
                 tree.tree.joints().map(known).collect()
             }
@@ -103,7 +104,7 @@ impl ReplayRobot {
                 (model.motor.speed_limit, model.motor.lag_limit) = (free, free);
                 Ok(model)
             }
-            Self::Tree(tree) => {
+            Self::Tree(tree, _) => {
                 let mut stiff = tree.as_ref().clone();
                 for motor in &mut stiff.motors {
                     (motor.kp, motor.kd) = (STIFFER * motor.kp, STIFFER * motor.kd);
@@ -117,7 +118,7 @@ impl ReplayRobot {
     pub fn engine(&self) -> EngineKind {
         match self {
             Self::Legged(_) => EngineKind::Lanes,
-            Self::Tree(_) => EngineKind::Tree,
+            Self::Tree(..) => EngineKind::Tree,
         }
     }
 }
@@ -148,6 +149,7 @@ fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
 }
 
 /// Joint angles of a window, tick by tick, all joints one after the other.
+#[derive(Clone)]
 pub struct ReplayedJoint {
     pub tick: f64,
     pub ticks: usize,
@@ -167,6 +169,13 @@ impl ReplayedJoint {
             }
         }
         Self { tick, ticks, joints, angles }
+    }
+
+    /// The same motion with one joint's angle larger by `value` [rad].
+    pub fn turned(&self, joint: usize, value: f64) -> Self {
+        let mut new = self.clone();
+        new.angles.iter_mut().skip(joint).step_by(self.joints).for_each(|angle| *angle += value);
+        new
     }
 
     /// Joints that stay at 0.

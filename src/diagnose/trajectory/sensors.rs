@@ -56,7 +56,7 @@ impl Layout {
     }
 }
 
-/// Rotation, delay and filter of the IMU, beyond what the experiment file states.
+/// Rotation, delay and filter of the IMU beyond what the experiment file states, and the delay of the torques.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mounting {
     /// Rotation vector in the IMU's frame [rad].
@@ -65,6 +65,8 @@ pub struct Mounting {
     pub delay: f64,
     /// Time constant of the first-order filter of its readings [s].
     pub low_pass: f64,
+    /// Delay of the logged torques [s].
+    pub torque_delay: f64,
 }
 
 /// The effects of hardware on a log.
@@ -86,7 +88,12 @@ impl LoggedHardware {
         let torque_gain = value(TORQUE_GAIN);
         let constant = file.value(TORQUE_CONSTANT).unwrap_or(1.0);
         Self {
-            mounting: Mounting { turn: ROTATION.map(value), delay: value(DELAY[0]), low_pass: value(FILTER[0]) },
+            mounting: Mounting {
+                turn: ROTATION.map(value),
+                delay: value(DELAY[0]),
+                low_pass: value(FILTER[0]),
+                torque_delay: 0.0,
+            },
             torque_gain,
             servo_gain: constant * (1.0 + torque_gain) - 1.0,
             friction: value(FRICTION),
@@ -141,7 +148,11 @@ pub fn read(
     let times = &times[first..(times.partition_point(|t| *t < window.end()) + 1).min(times.len())];
     let imu = joints..joints + IMU_SIGNALS;
     let sampled = |(k, signal): (usize, &Vec<f64>)| {
-        let late = if imu.contains(&k) { mounting.delay } else { 0.0 };
+        let late = match k {
+            k if k < joints => mounting.torque_delay,
+            k if imu.contains(&k) => mounting.delay,
+            _ => 0.0,
+        };
         let start = window.from - track.lag(k, joints, tick) + late + tick;
         match imu.contains(&k) && mounting.low_pass > 0.0 {
             true => resampled(&low_passed(signal, tick / mounting.low_pass), start, tick, times),

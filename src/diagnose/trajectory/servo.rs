@@ -10,6 +10,7 @@ use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::series::central_difference;
 use crate::sim::walk::hip_angle;
+use std::f64::consts::TAU;
 
 /// Requested torques are cut off at this multiple of the largest logged torque: our choice. If a joint is far behind its command,
 /// the request may be arbitrarily large, and contains no information on the motor.
@@ -38,14 +39,15 @@ pub struct RequestedTorques {
     runs: Vec<OfRun>,
 }
 
-/// The requested torques of a log. None if the log does not give the hips' command, or if the robot has no servo.
+/// The requested torques of a log. None if the log does not give the hips' command, if the robot has no servo, or if its joints do not
+/// turn.
 pub fn asked(runs: &[Run], bodies: &[ReplayRobot]) -> Result<Option<RequestedTorques>> {
     let runs: Option<Vec<_>> = runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
     Ok(runs.map(|runs| RequestedTorques { runs }))
 }
 
 fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
-    let frequency = run.frequency?;
+    let frequency = run.frequency.filter(|frequency| turns(run, *frequency))?;
     let gains = body.gains();
     let turning = run.t.partition_point(|t| *t < run.t[0] + SETTLED);
     let mut joints = Vec::with_capacity(run.q.len());
@@ -63,6 +65,14 @@ fn of_run(run: &Run, body: &ReplayRobot) -> Option<OfRun> {
         joints.push((0..q.len()).map(torque).collect());
     }
     Some(OfRun { joints, turning, most: MOST * greatest(&run.tau), exact: false })
+}
+
+/// Do the joints turn with this frequency [Hz], as the protocol's hips do, and not swing? A joint that turns makes most of these turns: our
+/// choice, more than half.
+fn turns(run: &Run, frequency: f64) -> bool {
+    let [first, last] = [0, run.t.len() - 1].map(|i| run.t[i]);
+    let half = 0.5 * frequency.abs() * TAU * (last - first);
+    run.q.iter().all(|q| (q[q.len() - 1] - q[0]).abs() > half)
 }
 
 fn greatest(torques: &[Vec<f64>]) -> f64 {

@@ -1,5 +1,6 @@
 //! Replays with many sets of mechanisms and coefficients, and the sensors' readings of each.
 
+use super::description::Difference;
 use super::model::TrajectoryModel;
 use super::replay::{Replay, ReplayRobot, Signals, replay};
 use super::sensors::{LoggedHardware, Mounting, read};
@@ -18,53 +19,45 @@ const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
 /// to χ² for each window and channel.
 const SETTLED: f64 = 4.0;
 
+/// The sand of a replay, and what differs between the robot and its description.
+pub(super) type Setting = (SandParameters, Option<Difference>);
+
 impl TrajectoryModel<'_> {
-    pub(super) fn models(
-        &self,
-        (mechanisms, coefficients): &SandParameters,
-        payload: f64,
-        dt: f64,
-    ) -> Result<Vec<Model>> {
+    pub(super) fn models(&self, ((mechanisms, coefficients), difference): &Setting, dt: f64) -> Result<Vec<Model>> {
+        let bodies = self.bodies_with(*difference)?;
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             // The joints move as logged, so a weak motor has no effect in the replay; it has an effect on the servo's channel.
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..self.with_given(mechanisms) };
             (scene.slope_deg, scene.dt) = (self.runs[run].slope_deg, dt);
-            if matches!(self.bodies[run], ReplayRobot::Tree(_)) {
+            if matches!(bodies[run], ReplayRobot::Tree(..)) {
                 scene.surface = Regularization::SOLID;
             }
-            let model = self.bodies[run].model(&scene)?;
-            match payload > 0.0 {
-                true => {
-                    scene.payload = payload * model.total_mass();
-                    self.bodies[run].model(&scene)
-                }
-                false => Ok(model),
-            }
+            bodies[run].model(&scene)
         };
         (0..self.runs.len()).map(of).collect()
     }
 
     /// Mass of the robot as described [kg].
     pub(super) fn mass(&self) -> f64 {
-        let models = self.models(&self.plain_sand(), 0.0, Scene::DEFAULT_DT);
+        let models = self.models(&(self.plain_sand(), None), Scene::DEFAULT_DT);
         models.ok().and_then(|all| all.first().map(Model::total_mass)).unwrap_or(1.0)
     }
 
-    /// Tracks of several states, state by state and window by window. `payload` is given as a share of the robot's mass; the time step
-    /// is divided by `finer`.
-    pub(super) fn tracks(&self, states: &[SandParameters], payload: f64, finer: f64) -> Vec<Vec<Signals>> {
+    /// Tracks of several settings, setting by setting and window by window. The time step is divided by `finer`.
+    pub(super) fn tracks(&self, settings: &[Setting], finer: f64) -> Vec<Vec<Signals>> {
         let dt = Scene::DEFAULT_DT / finer;
-        let models: Result<Vec<Vec<Model>>> = states.iter().map(|s| self.models(s, payload, dt)).collect();
-        let lost = || vec![vec![Signals::default(); self.windows.len()]; states.len()];
+        let models: Result<Vec<Vec<Model>>> = settings.iter().map(|s| self.models(s, dt)).collect();
+        let lost = || vec![vec![Signals::default(); self.windows.len()]; settings.len()];
         let Ok(models) = models else { return lost() };
-        let task = |(state, k): (usize, usize)| Replay {
-            model: &models[state][self.windows[k].run],
-            drive: &self.drives[k],
+        let turned: Vec<_> = settings.iter().map(|(_, difference)| self.drives_with(*difference)).collect();
+        let task = |(s, k): (usize, usize)| Replay {
+            model: &models[s][self.windows[k].run],
+            drive: &turned[s].as_ref().unwrap_or(&self.drives)[k],
             imu: self.experiment.file.imu.position,
         };
         let tasks: Vec<Replay> =
-            (0..states.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
+            (0..settings.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
         match replay(self.bodies[0].engine(), &tasks, self.latch) {
             Ok(tracks) => tracks.chunks(self.windows.len()).map(<[Signals]>::to_vec).collect(),
             Err(_) => lost(),
@@ -92,16 +85,20 @@ impl TrajectoryModel<'_> {
         tracks.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Predicted numbers of one state, with another mass, time step and hardware than in [`Self::simulate`].
-    pub(super) fn replayed(
-        &self,
-        sand: &SandParameters,
-        payload: f64,
-        finer: f64,
-        hardware: &LoggedHardware,
-    ) -> Vec<f64> {
-        let tracks = self.tracks(&[*sand], payload, finer).swap_remove(0);
+    /// Predicted numbers of one state, with another time step and hardware than in [`Self::simulate`].
+    pub(super) fn replayed(&self, sand: &SandParameters, finer: f64, hardware: &LoggedHardware) -> Vec<f64> {
+        let tracks = self.tracks(&[(*sand, None)], finer).swap_remove(0);
         self.logged(self.read(&tracks, hardware.mounting), self.limit(sand), hardware)
+    }
+
+    /// The predicted numbers of several settings, before errors of the logged torques.
+    pub(super) fn readings(&self, settings: &[Setting]) -> Vec<Vec<f64>> {
+        // Sixteen at a time, because tracks need much memory: our choice.
+        let some = |part: &[Setting]| {
+            let tracks = self.tracks(part, 1.0);
+            crate::parallel::map(&tracks, |t| self.read(t, self.hardware.mounting))
+        };
+        settings.chunks(16).flat_map(some).collect()
     }
 
     /// Predicted numbers of several states, with the hardware that the experiment file states.
@@ -113,13 +110,8 @@ impl TrajectoryModel<'_> {
         let near = |(m, c): &SandParameters| *c == stated && m.values().iter().filter(|v| **v != 0.0).count() < 2;
         let known = if states.iter().all(near) { &self.known_near_plain } else { &self.known };
         let stacks = known.of(keys, |new| {
-            // Sixteen at a time, because tracks need much memory: our choice.
-            let some = |part: &[usize]| {
-                let states: Vec<SandParameters> = part.iter().map(|&k| states[k]).collect();
-                let tracks = self.tracks(&states, 0.0, 1.0);
-                crate::parallel::map(&tracks, |t| self.read(t, self.hardware.mounting))
-            };
-            new.chunks(16).flat_map(some).collect()
+            let settings: Vec<Setting> = new.iter().map(|&k| (states[k], None)).collect();
+            self.readings(&settings)
         });
         let logged = |(stack, sand): (Vec<f64>, &SandParameters)| self.logged(stack, self.limit(sand), &self.hardware);
         stacks.into_iter().zip(states).map(logged).collect()
