@@ -256,7 +256,9 @@ impl ForwardModel for ForceLogModel<'_> {
         let mut all = testable(|m| m.intrusion, &self.missing);
         // With one size it is a part of the sand's strength.
         let of_size = all.iter_mut().filter(|t| CATALOG[t.0].id == OF_SIZE && !vary(&self.sizes()));
-        of_size.for_each(|t| t.1 = Some("the intruders of each type have one size".into()));
+        of_size.for_each(|t| {
+            t.1 = Some("the sizes of the intruders of each type hardly vary (by less than a factor of 1.2, rms)".into())
+        });
         all
     }
 

@@ -33,11 +33,14 @@ pub fn one_fault<'a>(study: &FitInputs<'a>, asked: &SearchSpace) -> Option<(FitI
     let (fault, nuisances) = fault(study, asked)?;
     let is_answer = |n: &Nuisance| kind(n.id).is_some_and(|kind| !kind.remedy.is_empty());
     let nearly = |n: &Nuisance| if is_answer(n) { n.with_prior(NEARLY * n.stated_sd) } else { n.clone() };
-    let mut own: Vec<Nuisance> = study.nuisances.iter().map(nearly).collect();
-    if let Effect::Measuring(k) = fault {
-        own = without_bound(study, &nuisances, own, k);
-    }
-    let causes = if let Effect::Mechanism(id) = fault { vec![id] } else { Vec::new() };
+    let (own, causes) = match fault {
+        // Effects of measuring cannot take the place of other sand whose coefficients are as stated.
+        Effect::Mechanism(id) => (study.nuisances.clone(), vec![id]),
+        Effect::Measuring(k) => {
+            let own = study.nuisances.iter().map(nearly).collect();
+            (without_bound(study, &nuisances, own, k), Vec::new())
+        }
+    };
     Some((study.with_nuisances(own).nearly_stated(NEARLY), causes))
 }
 
@@ -73,8 +76,16 @@ fn fault(study: &FitInputs, asked: &SearchSpace) -> Option<(Effect, Vec<Nuisance
         (0..models.len()).filter(|k| *k != best && *k != 1 && (*k == 0 || !alike(*k))).all(|k| table.beats(best, k));
     let gains = table.shares(best, 0);
     let everywhere = gains.iter().filter(|gain| **gain > 0.0).count() as f64 >= EVERYWHERE * gains.len() as f64;
+    // What is within the stated standard deviation is as stated.
+    let beyond = match fault(best) {
+        Effect::Measuring(k) => {
+            let (own, d) = (&made[best - first].nuisances[k], made[best - first].fit.deviations[COEFFICIENTS + k]);
+            (own.sd * d).abs() > own.stated_sd
+        }
+        Effect::Mechanism(_) => true,
+    };
     let nuisances = made.get(best - first).map_or(&study.nuisances, |own| &own.nuisances);
-    (main && beaten && everywhere).then(|| (fault(best), nuisances.clone()))
+    (main && beaten && everywhere && beyond).then(|| (fault(best), nuisances.clone()))
 }
 
 /// The same study with everything as described: stated coefficients, no effects of measuring.
@@ -82,15 +93,16 @@ pub fn as_described<'a>(study: &FitInputs<'a>) -> FitInputs<'a> {
     study.with_nuisances(study.nuisances.iter().map(|n| n.with_prior(0.0)).collect()).stated()
 }
 
-/// The place of a mass that the robot carries is not known, so with its mass the base's centre of mass has no bound, too.
-const PLACE: [&str; 2] = ["payload", "center_of_mass"];
+/// Effects that belong to another one. The place of a mass that the robot carries is not known, so with its mass the base's centre of mass
+/// has no bound, too; and a filter is late and blurs.
+const BELONGS: [[&str; 2]; 2] = [["payload", "center_of_mass"], ["imu_delay", "imu_blur"]];
 
 /// These nuisances, of which the effect `k` has no bound. What belongs to it has none either, and is no effect of its own. `full` has the
 /// columns of all of them.
 fn without_bound(study: &FitInputs, full: &[Nuisance], mut nuisances: Vec<Nuisance>, k: usize) -> Vec<Nuisance> {
     for ((own, full), stated) in nuisances.iter_mut().zip(full).zip(&study.nuisances) {
         let sd = WIDE * stated.stated_sd;
-        if [study.nuisances[k].id, stated.id] == PLACE {
+        if BELONGS.contains(&[study.nuisances[k].id, stated.id]) {
             *own = Nuisance { stated_sd: sd, ..full.with_prior(sd) };
         } else if stated.is(&study.nuisances[k]) {
             *own = Nuisance { stated_sd: stated.stated_sd, ..full.with_prior(sd) };

@@ -144,7 +144,9 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     }
     let mut selection = alone.map_or_else(|| attempt(study, study, asked, progress), Ok)?;
     for _ in 0..ESTABLISHED {
-        let Some(k) = selection.establishes().or_else(|| selection.shows(study)) else { break };
+        // In a robot's log small effects of measuring are always there; a large one is found by [`one_fault`].
+        let small = || selection.shows(study).filter(|_| study.model.roughness().is_none());
+        let Some(k) = selection.establishes().or_else(small) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
         let next = attempt(&wide, study, asked, &Later(progress))?;

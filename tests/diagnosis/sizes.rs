@@ -96,7 +96,7 @@ fn without_it_plates_of_four_sizes_show_nothing() {
 #[test]
 fn one_size_shows_another_strength() {
     let r = diagnosed(3, &[0.03], 0.6, 1.0);
-    assert!(r.untestable.iter().any(|u| u.id == "size_power" && u.why.contains("one size")), "{:?}", r.untestable);
+    assert!(r.untestable.iter().any(|u| u.id == "size_power" && u.why.contains("hardly vary")), "{:?}", r.untestable);
     assert!(!r.ambiguity_set.concat().contains(&"size_power".to_string()), "{}", r.summary);
 }
 
