@@ -103,7 +103,7 @@ pub struct NuisanceKind {
     /// Id of the mechanism of a sensor with the same effect, for the channel in the second field.
     mechanism: &'static [(&'static str, &'static str)],
     /// Is it an error of stated geometry, whose prior is in the table `[uncertainty]`?
-    geometry: bool,
+    pub geometry: bool,
     /// What is wrong, in words.
     pub words: &'static str,
     /// What to do about it; empty if it is no answer. Clocks differ by far less than one percent, so a clock that would have to differ by

@@ -24,6 +24,8 @@ const LEAST: f64 = 0.2;
 /// The difference must improve the prediction of at least this share of the conditions: our choice. What is wrong with a robot shows in every
 /// walk; where a walk is unstable, any change may happen to predict it better.
 const EVERYWHERE: f64 = 0.75;
+/// A difference within this share of its stated standard deviation is as stated: our choice.
+const AS_STATED: f64 = 0.5;
 /// If one thing is wrong, all else is described well: the other effects have this share of their stated standard deviations. Our choice.
 const NEARLY: f64 = 0.1;
 
@@ -34,8 +36,11 @@ pub fn one_fault<'a>(study: &FitInputs<'a>, asked: &SearchSpace) -> Option<(FitI
     let is_answer = |n: &Nuisance| kind(n.id).is_some_and(|kind| !kind.remedy.is_empty());
     let nearly = |n: &Nuisance| if is_answer(n) { n.with_prior(NEARLY * n.stated_sd) } else { n.clone() };
     let (own, causes) = match fault {
-        // Effects of measuring cannot take the place of other sand whose coefficients are as stated.
-        Effect::Mechanism(id) => (study.nuisances.clone(), vec![id]),
+        // What a robot's description has wrong can take the place of other sand; what its sensors have wrong cannot.
+        Effect::Mechanism(id) => {
+            let of = |n: &Nuisance| if kind(n.id).is_some_and(|kind| kind.geometry) { nearly(n) } else { n.clone() };
+            (study.nuisances.iter().map(of).collect(), vec![id])
+        }
         Effect::Measuring(k) => {
             let own = study.nuisances.iter().map(nearly).collect();
             (without_bound(study, &nuisances, own, k), Vec::new())
@@ -76,11 +81,10 @@ fn fault(study: &FitInputs, asked: &SearchSpace) -> Option<(Effect, Vec<Nuisance
         (0..models.len()).filter(|k| *k != best && *k != 1 && (*k == 0 || !alike(*k))).all(|k| table.beats(best, k));
     let gains = table.shares(best, 0);
     let everywhere = gains.iter().filter(|gain| **gain > 0.0).count() as f64 >= EVERYWHERE * gains.len() as f64;
-    // What is within the stated standard deviation is as stated.
     let beyond = match fault(best) {
         Effect::Measuring(k) => {
             let (own, d) = (&made[best - first].nuisances[k], made[best - first].fit.deviations[COEFFICIENTS + k]);
-            (own.sd * d).abs() > own.stated_sd
+            (own.sd * d).abs() > AS_STATED * own.stated_sd
         }
         Effect::Mechanism(_) => true,
     };
