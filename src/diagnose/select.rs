@@ -134,9 +134,11 @@ impl Selection {
 pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -> Result<Selection> {
     let mut nuisances = study.nuisances.clone();
     let mut alone = None;
+    progress.report(0.02, "each difference alone")?;
     if let Some((one, causes)) = one_fault(study, asked) {
         let alone_asked = SearchSpace { ids: &causes, ..*asked };
-        let found = attempt(&one, &as_described(study), &alone_asked, progress)?;
+        let found =
+            attempt(&one, &as_described(study), &alone_asked, &ShareOfProgress { whole: progress, from: 0.05 })?;
         if found.stands() {
             nuisances.clone_from(&one.nuisances);
             alone = Some(found);
@@ -149,7 +151,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         let Some(k) = selection.establishes().or_else(small) else { break };
         nuisances[k] = nuisances[k].with_prior(WIDE * nuisances[k].stated_sd);
         let wide = study.with_nuisances(nuisances.clone());
-        let next = attempt(&wide, study, asked, &Later(progress))?;
+        let next = attempt(&wide, study, asked, &ShareOfProgress { whole: progress, from: 0.9 })?;
         if !next.stands() {
             break;
         }
@@ -162,16 +164,19 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
     Ok(selection)
 }
 
-/// The progress of a later attempt, which follows on that of the first one.
-struct Later<'a>(&'a dyn Progress);
+/// The progress of an attempt before or after the main one: a twentieth of the whole, from `from` on.
+struct ShareOfProgress<'a> {
+    whole: &'a dyn Progress,
+    from: f64,
+}
 
-impl Progress for Later<'_> {
+impl Progress for ShareOfProgress<'_> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
-        self.0.report(0.9 + 0.05 * done, stage)
+        self.whole.report(self.from + 0.05 * done, stage)
     }
 
     fn note(&self, line: &str) {
-        self.0.note(line);
+        self.whole.note(line);
     }
 }
 

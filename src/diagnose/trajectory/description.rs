@@ -21,7 +21,7 @@ const LINEAR: f64 = 0.5;
 
 /// A quantity of a robot that its description may state wrongly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Quantity {
+pub enum RobotQuantity {
     /// Mass on the base's centre of mass [kg].
     Payload,
     /// Shift of the base's centre of mass along axis x (0) or y (1) of its frame [m].
@@ -33,9 +33,9 @@ pub enum Quantity {
 }
 
 /// A quantity, and by how much it differs.
-pub type Difference = (Quantity, f64);
+pub type Difference = (RobotQuantity, f64);
 
-impl Quantity {
+impl RobotQuantity {
     fn id(self) -> &'static str {
         match self {
             Self::Payload => "payload",
@@ -80,9 +80,9 @@ impl ReplayRobot {
     /// from a URDF or MJCF file only the mass can differ.
     fn differing(&self, (quantity, value): Difference) -> Result<Self> {
         let (model, touching) = match (self, quantity) {
-            (_, Quantity::JointZero(_)) => return Ok(self.clone()),
+            (_, RobotQuantity::JointZero(_)) => return Ok(self.clone()),
             (Self::Tree(model, touching), _) => (model, touching),
-            (Self::Legged(robot), Quantity::Payload) => {
+            (Self::Legged(robot), RobotQuantity::Payload) => {
                 let mut robot = robot.clone();
                 robot.base.mass += value;
                 return Ok(Self::Legged(robot));
@@ -92,9 +92,9 @@ impl ReplayRobot {
         let mut new = model.as_ref().clone();
         let mut tree = model.tree.as_ref().clone();
         match quantity {
-            Quantity::Payload => new.base_mass += value,
-            Quantity::Center(axis) => tree.bodies[0].center[axis] += value,
-            Quantity::FootSize => {
+            RobotQuantity::Payload => new.base_mass += value,
+            RobotQuantity::Center(axis) => tree.bodies[0].center[axis] += value,
+            RobotQuantity::FootSize => {
                 for (body, shape) in feet(model, touching) {
                     let own = &mut tree.bodies[body].shapes[shape];
                     *own = scaled(own, 1.0 + value);
@@ -102,7 +102,7 @@ impl ReplayRobot {
                 new.plates = Arc::new(of_touching(&tree, touching, None)?);
                 new.contacts = Arc::new(contact_points(&tree));
             }
-            Quantity::JointZero(_) => {}
+            RobotQuantity::JointZero(_) => {}
         }
         new.tree = Arc::new(tree);
         Ok(Self::Tree(Arc::new(new), touching.clone()))
@@ -153,13 +153,13 @@ fn scaled(shape: &TreeShape, factor: f64) -> TreeShape {
 
 impl TrajectoryModel<'_> {
     /// The quantities that can differ, each with the standard deviation of its prior.
-    fn differences(&self) -> Vec<(Quantity, f64)> {
-        let joints = (0..self.layout.joints).map(Quantity::JointZero);
-        let mut all = vec![(Quantity::Payload, self.prior("payload") * self.mass())];
+    fn differences(&self) -> Vec<(RobotQuantity, f64)> {
+        let joints = (0..self.layout.joints).map(RobotQuantity::JointZero);
+        let mut all = vec![(RobotQuantity::Payload, self.prior("payload") * self.mass())];
         if let ReplayRobot::Tree(model, _) = &self.bodies[0] {
             let center = self.prior("center_of_mass") * model.stance.leg_length;
-            all.extend([0, 1].map(|axis| (Quantity::Center(axis), center)));
-            all.push((Quantity::FootSize, self.prior("foot_size")));
+            all.extend([0, 1].map(|axis| (RobotQuantity::Center(axis), center)));
+            all.push((RobotQuantity::FootSize, self.prior("foot_size")));
         }
         all.extend(joints.map(|joint| (joint, self.prior("joint_zero"))));
         all.retain(|(quantity, sd)| *sd > 0.0 && !self.is_given(quantity.id(), None));
@@ -167,18 +167,18 @@ impl TrajectoryModel<'_> {
     }
 
     /// Whose quantity it is: an axis or a joint.
-    fn owner(&self, quantity: Quantity) -> Option<String> {
+    fn owner(&self, quantity: RobotQuantity) -> Option<String> {
         match quantity {
-            Quantity::Center(axis) => Some(["x", "y"][axis].into()),
-            Quantity::JointZero(joint) => self.bodies[0].joint_names().get(joint).cloned(),
-            Quantity::Payload | Quantity::FootSize => None,
+            RobotQuantity::Center(axis) => Some(["x", "y"][axis].into()),
+            RobotQuantity::JointZero(joint) => self.bodies[0].joint_names().get(joint).cloned(),
+            RobotQuantity::Payload | RobotQuantity::FootSize => None,
         }
     }
 
     /// What a wrong description changes, linearised at `values`; `here` is the prediction for the robot as described.
     pub(super) fn described(&self, sand: &SandParameters, here: &[f64], values: &[NuisanceState]) -> Vec<Nuisance> {
         // Each quantity with its prior standard deviation, the step of its derivative, and the value at which this is taken.
-        let all: Vec<(Quantity, f64, f64, f64)> = (self.differences().into_iter())
+        let all: Vec<(RobotQuantity, f64, f64, f64)> = (self.differences().into_iter())
             .map(|(quantity, sd)| {
                 let value = estimate(values, quantity.id(), self.owner(quantity).as_deref());
                 let step = quantity.step() * sd;
@@ -190,7 +190,7 @@ impl TrajectoryModel<'_> {
         let asked: Vec<Difference> = asked.filter(|(_, value)| *value != 0.0).collect();
         let mut found = asked.iter().zip(self.differing(sand, &asked)).peekable();
         let mut of = |difference: Difference| found.next_if(|(own, _)| **own == difference).map(|f| f.1);
-        let one = |(quantity, sd, step, at): (Quantity, f64, f64, f64)| {
+        let one = |(quantity, sd, step, at): (RobotQuantity, f64, f64, f64)| {
             let (there, further) = (of((quantity, at)), of((quantity, at + step)));
             let there = there.unwrap_or_else(|| here.to_vec());
             let rate = slope(&further.unwrap_or_else(|| here.to_vec()), &there, step);
@@ -225,7 +225,7 @@ impl TrajectoryModel<'_> {
 
     /// The motion of each window's joints with a difference.
     pub(super) fn drives_with(&self, difference: Option<Difference>) -> Option<Vec<ReplayedJoint>> {
-        let Some((Quantity::JointZero(joint), value)) = difference else { return None };
+        let Some((RobotQuantity::JointZero(joint), value)) = difference else { return None };
         Some(self.drives.iter().map(|drive| drive.turned(joint, value)).collect())
     }
 }
