@@ -118,8 +118,7 @@ impl Assessing<'_> {
     /// Half of the 95 % interval that the simulation's own errors give a value that was found in a robot's log; other models have no such
     /// errors, or have no effects of measuring.
     fn simulated(&self, value: f64) -> f64 {
-        let robot = self.study.model.roughness().is_some() && !self.study.nuisances.is_empty();
-        if robot { NORMAL * SIMULATED * value.abs() } else { 0.0 }
+        if self.study.is_robots_log() { NORMAL * SIMULATED * value.abs() } else { 0.0 }
     }
 
     fn found(&self, effect: Effect, fit: &Fit, nuisances: &[Nuisance], reach: &[f64]) -> FoundEffect {

@@ -42,7 +42,7 @@ pub fn measured(study: &FitInputs, base: &Fit) -> Vec<MeasuredFit> {
     };
     let open = |&k: &usize| {
         let n = &study.nuisances[k];
-        n.sd == n.stated_sd && n.sd > 0.0 && kind(n.id).is_some_and(|k| !k.remedy.is_empty())
+        n.sd == n.stated_sd && n.sd > 0.0 && n.is_answer()
     };
     let rough = study.model.roughness().is_some();
     let mut promising: Vec<(usize, f64)> = (0..study.nuisances.len()).filter(open).map(|k| (k, gain(k))).collect();
@@ -100,7 +100,7 @@ pub fn absent(study: &FitInputs, base: &Fit, wide: &[MeasuredFit]) -> Vec<Measur
 }
 
 /// A fit with a wide prior for the nuisance `index`, begun at `from`; abandoned if it is unlikely to reach the objective `best`.
-fn widened(
+pub fn widened(
     study: &FitInputs,
     base: &Fit,
     mut nuisances: Vec<Nuisance>,

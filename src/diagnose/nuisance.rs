@@ -52,6 +52,11 @@ impl Nuisance {
         Self { sd, column, ..self.clone() }
     }
 
+    /// May it be the answer of a diagnosis?
+    pub fn is_answer(&self) -> bool {
+        kind(self.id).is_some_and(|kind| !kind.remedy.is_empty())
+    }
+
     pub fn is(&self, other: &Self) -> bool {
         self.id == other.id && self.of == other.of
     }

@@ -9,10 +9,10 @@ use super::candidates::SearchSpace;
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
 use super::left_out::Contender;
-use super::measured::{MeasuredFit, WIDE};
+use super::measured::{MeasuredFit, WIDE, widened};
 use super::nuisance::{Nuisance, kind};
 use super::screen::starts;
-use super::settling::{FAR, settled_nuisances};
+use super::settling::FAR;
 use super::study::FitInputs;
 use super::verdict::{Effect, MAIN_PART};
 use crate::parallel;
@@ -33,8 +33,7 @@ const NEARLY: f64 = 0.1;
 /// is one.
 pub fn one_fault<'a>(study: &FitInputs<'a>, asked: &SearchSpace) -> Option<(FitInputs<'a>, Vec<usize>)> {
     let (fault, nuisances) = fault(study, asked)?;
-    let is_answer = |n: &Nuisance| kind(n.id).is_some_and(|kind| !kind.remedy.is_empty());
-    let nearly = |n: &Nuisance| if is_answer(n) { n.with_prior(NEARLY * n.stated_sd) } else { n.clone() };
+    let nearly = |n: &Nuisance| if n.is_answer() { n.with_prior(NEARLY * n.stated_sd) } else { n.clone() };
     let (own, causes) = match fault {
         // What a robot's description has wrong can take the place of other sand; what its sensors have wrong cannot.
         Effect::Mechanism(id) => {
@@ -51,12 +50,13 @@ pub fn one_fault<'a>(study: &FitInputs<'a>, asked: &SearchSpace) -> Option<(FitI
 
 /// The difference, and the nuisances, linearised about it.
 fn fault(study: &FitInputs, asked: &SearchSpace) -> Option<(Effect, Vec<Nuisance>)> {
-    study.model.roughness().filter(|_| !study.nuisances.is_empty())?;
+    if !study.is_robots_log() {
+        return None;
+    }
     let exact = as_described(study);
     let plain = exact.with_slopes(exact.plain());
     let all = study.recalibrated();
-    let open = |k: &usize| kind(study.nuisances[*k].id).is_some_and(|kind| !kind.remedy.is_empty());
-    let effects: Vec<usize> = (0..study.nuisances.len()).filter(open).collect();
+    let effects: Vec<usize> = (0..study.nuisances.len()).filter(|k| study.nuisances[*k].is_answer()).collect();
     let made: Vec<MeasuredFit> = parallel::map(&effects, |&k| alone(&exact, study, &plain, k));
     let causes: Vec<Fit> =
         exact.fit_all(&asked.ids.iter().map(|&id| (vec![id], both_signs(study, id))).collect::<Vec<_>>());
@@ -121,17 +121,14 @@ fn alone(exact: &FitInputs, study: &FitInputs, plain: &Fit, k: usize) -> Measure
     let from = |start: f64| {
         let mut at = plain.clone();
         at.deviations[COEFFICIENTS + k] = start * study.nuisances[k].stated_sd;
-        let unit: Vec<Nuisance> = study.nuisances.iter().map(|n| n.with_prior(1.0)).collect();
-        let nuisances =
-            if start == 0.0 { study.nuisances.clone() } else { exact.with_nuisances(unit).nuisances_of(plain, &at) };
+        let there = || {
+            let unit = study.nuisances.iter().map(|n| n.with_prior(1.0)).collect();
+            exact.with_nuisances(unit).nuisances_of(plain, &at)
+        };
+        let nuisances = if start == 0.0 { study.nuisances.clone() } else { there() };
         let nuisances = without_bound(study, &nuisances, nuisances.iter().map(|n| n.with_prior(0.0)).collect(), k);
         at.deviations[COEFFICIENTS + k] = start / WIDE;
-        let now = exact.with_nuisances(nuisances).stated();
-        let at = now.fit_from(&[&at]).swap_remove(0);
-        let (nuisances, at) = settled_nuisances(now, plain, at, f64::INFINITY);
-        let last = exact.with_nuisances(nuisances).stated();
-        let fit = last.fit_from(&[&at]).swap_remove(0);
-        MeasuredFit { fit, nuisances: last.nuisances }
+        widened(exact, plain, nuisances, (k, at), f64::INFINITY)
     };
     let near = from(0.0);
     if near.fit.objective <= plain.objective {

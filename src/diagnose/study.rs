@@ -95,6 +95,11 @@ impl<'a> FitInputs<'a> {
         self.marginal_slopes = [slopes, white];
     }
 
+    /// Are the data a robot's log? Its model is a simulation with effects of measuring.
+    pub fn is_robots_log(&self) -> bool {
+        self.model.roughness().is_some() && !self.nuisances.is_empty()
+    }
+
     /// The sand of a fit.
     pub fn sand(&self, fit: &Fit) -> SandParameters {
         (fit.mechanisms, self.coefficients(&fit.deviations))

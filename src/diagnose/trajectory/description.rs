@@ -162,7 +162,7 @@ impl TrajectoryModel<'_> {
             all.push((RobotQuantity::FootSize, self.prior("foot_size")));
         }
         all.extend(joints.map(|joint| (joint, self.prior("joint_zero"))));
-        all.retain(|(quantity, sd)| *sd > 0.0 && !self.is_given(quantity.id(), None));
+        all.retain(|(_, sd)| *sd > 0.0);
         all
     }
 
@@ -188,12 +188,11 @@ impl TrajectoryModel<'_> {
         // The prediction at each value, and one step further.
         let asked = all.iter().flat_map(|&(quantity, _, step, at)| [(quantity, at), (quantity, at + step)]);
         let asked: Vec<Difference> = asked.filter(|(_, value)| *value != 0.0).collect();
-        let mut found = asked.iter().zip(self.differing(sand, &asked)).peekable();
-        let mut of = |difference: Difference| found.next_if(|(own, _)| **own == difference).map(|f| f.1);
+        let mut found = self.differing(sand, &asked).into_iter();
+        let mut of = |value: f64| if value == 0.0 { None } else { found.next() }.unwrap_or_else(|| here.to_vec());
         let one = |(quantity, sd, step, at): (RobotQuantity, f64, f64, f64)| {
-            let (there, further) = (of((quantity, at)), of((quantity, at + step)));
-            let there = there.unwrap_or_else(|| here.to_vec());
-            let rate = slope(&further.unwrap_or_else(|| here.to_vec()), &there, step);
+            let (there, further) = (of(at), of(at + step));
+            let rate = slope(&further, &there, step);
             let bend = there.iter().zip(here).zip(&rate).map(|((there, here), rate)| there - here - at * rate);
             let bend: Vec<f64> = if at == 0.0 { Vec::new() } else { bend.collect() };
             let own = Nuisance::linear(quantity.id(), quantity.unit(), sd, rate).bent(bend);
