@@ -221,12 +221,12 @@ impl TrajectoryModel<'_> {
         }
         self.bodies.iter().map(|body| body.differing(difference)).collect()
     }
+}
 
-    /// The motion of each window's joints with a difference.
-    pub(super) fn drives_with(&self, difference: Option<Difference>) -> Option<Vec<ReplayedJoint>> {
-        let Some((RobotQuantity::JointZero(joint), value)) = difference else { return None };
-        Some(self.drives.iter().map(|drive| drive.turned(joint, value)).collect())
-    }
+/// The motion of each window's joints with a difference; None: it does not change the motion.
+pub(super) fn drives_with(drives: &[ReplayedJoint], difference: Option<Difference>) -> Option<Vec<ReplayedJoint>> {
+    let Some((RobotQuantity::JointZero(joint), value)) = difference else { return None };
+    Some(drives.iter().map(|drive| drive.turned(joint, value)).collect())
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
 use super::log::Run;
-use super::replay::{ReplayRobot, ReplayedJoint, Signals};
+use super::replay::{ReplayRobot, ReplayedJoint, Signals, drives};
 use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
@@ -95,10 +95,9 @@ impl<'a> TrajectoryModel<'a> {
         bodies: Vec<ReplayRobot>,
         windows: Vec<Window>,
     ) -> Self {
-        let drive = |w: &Window| ReplayedJoint::new(&runs[w.run], w, Scene::DEFAULT_DT);
         let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
         let mut model = Self {
-            drives: windows.iter().map(drive).collect(),
+            drives: drives(&runs, &windows, Scene::DEFAULT_DT),
             window_of: windows.iter().enumerate().flat_map(of_window).collect(),
             hardware: LoggedHardware::of(&experiment.given.hardware),
             asked: None,

@@ -1,7 +1,8 @@
 //! Simulates a robot whose joints move as logged; its base is free.
 //!
-//! The engines have no prescribed joint angles, only servos. So a replay has servos twenty times as stiff as the robot's own.
-//! They follow the log to a millirad, and their torque is the torque that the motion needs.
+//! The engines have no prescribed joint angles, only servos. So a replay has servos so stiff that they follow the log, and their
+//! torque is the torque that the motion needs. A foot on firm sand makes a large force of a small lag: servos that lagged by four
+//! millirads changed the torques of a trotting quadruped by a quarter.
 
 use super::log::Run;
 use super::windows::Window;
@@ -12,14 +13,20 @@ use crate::robots;
 use crate::series::central_difference;
 use crate::sim::actuator::Actuator;
 use crate::sim::engine::{Command, Engine, EngineKind};
-use crate::sim::model::Scene;
-use crate::sim::tree::{TreeModel, of_touching};
+use crate::sim::model::{GRAVITY, Scene};
+use crate::sim::tree::{JointKind, TreeModel, of_touching};
 use crate::sim::{Model, Robot, State};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Stiffness of a replay's servos as a multiple of the robot's own: our choice. A joint then lags by a millirad, and numbers of
-/// 32 bits still resolve the torque to a hundredth of its rms.
+/// Angle by which a joint of a robot from a URDF or MJCF file lags in a replay under a torque of the robot's weight times the length
+/// of its legs [rad]: our choice. Numbers of 32 bits resolve an angle of 1 rad to 1e-7, so a torque to a thousandth of this one. A
+/// joint that slides lags by this share of the legs' length under the weight.
+const LAG: f64 = 1e-4;
+/// Time in which such a lag is reached, kd/kp [s]: our choice, as that of the reference hexapod's servos.
+const LAG_TIME: f64 = 0.01;
+/// Stiffness of a replay's servos as a multiple of the robot's own, for our own robots, whose joints turn and turn: our choice.
+/// Numbers of 32 bits then still resolve the torque to a hundredth of its rms.
 const STIFFER: f64 = 20.0;
 /// Number of signals in addition to the torques: angular velocity, specific force, upward direction (three each, in the base's frame),
 /// horizontal speed and height.
@@ -87,16 +94,16 @@ impl ReplayRobot {
         }
     }
 
-    /// The model with stiff servos, whose joints follow their targets. If the robot's file has no stiffness, the
+    /// The model with stiff servos, whose joints follow their targets. If the file of one of our robots has no stiffness, the
     /// robot's own is its weight times the base's length (our choice).
     pub fn model(&self, scene: &Scene) -> Result<Model> {
         match self {
             Self::Legged(robot) => {
                 let mut model = Model::new(robot, scene)?;
-                let weight = model.total_mass() * crate::sim::model::GRAVITY;
+                let weight = model.total_mass() * GRAVITY;
                 let kp = if robot.servo.kp > 0.0 { robot.servo.kp } else { weight * robot.base.size[0] };
                 // If the robot's file has no damping, kd/kp is that of the reference hexapod.
-                let kd = if robot.servo.kd > 0.0 { robot.servo.kd } else { 0.01 * kp };
+                let kd = if robot.servo.kd > 0.0 { robot.servo.kd } else { LAG_TIME * kp };
                 model.motor.kp = STIFFER * kp;
                 model.motor.kd = STIFFER * kd;
                 let free = 1e9;
@@ -106,8 +113,11 @@ impl ReplayRobot {
             }
             Self::Tree(tree, _) => {
                 let mut stiff = tree.as_ref().clone();
-                for motor in &mut stiff.motors {
-                    (motor.kp, motor.kd) = (STIFFER * motor.kp, STIFFER * motor.kd);
+                let (weight, length) = (tree.mass() * GRAVITY, tree.stance.leg_length);
+                for (motor, joint) in stiff.motors.iter_mut().zip(tree.tree.joints()) {
+                    let slides = joint.kind == JointKind::Slide;
+                    motor.kp = if slides { weight / (LAG * length) } else { weight * length / LAG };
+                    motor.kd = LAG_TIME * motor.kp;
                     (motor.speed_limit, motor.actuator) = (None, Actuator::default());
                 }
                 Model::of_tree(stiff, scene)
@@ -148,7 +158,8 @@ fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
     (2.0 * s3 - 3.0 * s2 + 1.0) * q[left] + (s3 - 2.0 * s2 + s) * m0 + (3.0 * s2 - 2.0 * s3) * q[right] + (s3 - s2) * m1
 }
 
-/// Joint angles of a window, tick by tick, all joints one after the other.
+/// Joint angles of a window, tick by tick, all joints one after the other. A tick is a time step of the engine: with several steps in a
+/// tick, the joints would be accelerated in the first of them.
 #[derive(Clone)]
 pub struct ReplayedJoint {
     pub tick: f64,
@@ -184,10 +195,20 @@ impl ReplayedJoint {
         Self { tick, ticks: 0, joints, angles: vec![0.0; joints] }
     }
 
+    /// Speeds of the joints over a tick [rad/s].
+    fn rates(&self, tick: usize) -> Vec<f64> {
+        self.at(tick).iter().zip(self.at(tick + 1)).map(|(from, to)| (to - from) / self.tick).collect()
+    }
+
     fn at(&self, tick: usize) -> &[f64] {
         let k = tick.min(self.ticks);
         &self.angles[k * self.joints..][..self.joints]
     }
+}
+
+/// The motion of the joints in all windows.
+pub fn drives(runs: &[Run], windows: &[Window], tick: f64) -> Vec<ReplayedJoint> {
+    windows.iter().map(|window| ReplayedJoint::new(&runs[window.run], window, tick)).collect()
 }
 
 /// The result of one replay: each signal at every tick, first the torques, then the other [`SIGNALS`] signals. The first value is
@@ -256,7 +277,6 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
         engine.set_state(i, &state);
         before.push(state);
     }
-    let steps = (first.drive.tick / first.model.scene.dt).round().max(1.0) as usize;
     let ticks = tasks.iter().map(|t| t.drive.ticks).max().unwrap_or(0);
     let mut tracks: Vec<Signals> =
         tasks.iter().map(|t| Signals::empty(joints, t.drive.ticks, first.model.scene.dt)).collect();
@@ -267,15 +287,14 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
             return Ok(vec![Signals::default(); tasks.len()]);
         }
         for (i, task) in tasks.iter().enumerate() {
-            let (from, to) = (task.drive.at(k), task.drive.at(k + 1));
             if kind == EngineKind::Tree {
                 command.targets.clear();
-                command.targets.extend_from_slice(from);
+                command.targets.extend_from_slice(task.drive.at(k));
             }
-            command.rates.iter_mut().zip(from.iter().zip(to)).for_each(|(r, (a, b))| *r = (b - a) / task.drive.tick);
+            command.rates = task.drive.rates(k);
             engine.command(i, &command);
         }
-        engine.advance(steps);
+        engine.advance(1);
         for (i, task) in tasks.iter().enumerate().filter(|(_, t)| k < t.drive.ticks) {
             engine.state(i, &mut now);
             sample(task, &before[i], &now, &mut tracks[i]);
@@ -286,14 +305,14 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
     Ok(tracks)
 }
 
-/// The robot at rest with its feet on the surface; the base is parallel to the surface.
+/// The robot with its feet on the surface and its base at rest, parallel to the surface; its joints move as logged.
 fn start(task: &Replay) -> State {
     let angles = task.drive.at(0);
     let height = match &task.model.tree {
         Some(tree) => tree.standing_height(angles),
         None => task.model.standing_height(angles),
     };
-    State::at_rest(height, angles)
+    State { rates: task.drive.rates(0), ..State::at_rest(height, angles) }
 }
 
 type V = nalgebra::Vector3<f64>;

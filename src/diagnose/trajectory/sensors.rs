@@ -134,11 +134,10 @@ pub fn read(
     window: &Window,
     times: &[f64],
     track: &Signals,
-    tick: f64,
     mounting: Mounting,
     quat: [f64; 4],
 ) -> Vec<f64> {
-    let (count, joints) = (layout.count(), layout.joints);
+    let (count, joints, tick) = (layout.count(), layout.joints, track.step);
     let mut stack = vec![f64::NAN; window.strides.len() * count * BINS];
     if track.signals.first().map_or(0, Vec::len) < 2 || track.signals.len() < joints + SIGNALS {
         return stack;

@@ -1,8 +1,8 @@
 //! Replays with many sets of mechanisms and coefficients, and the sensors' readings of each.
 
-use super::description::Difference;
+use super::description::{Difference, drives_with};
 use super::model::TrajectoryModel;
-use super::replay::{Replay, ReplayRobot, Signals, replay};
+use super::replay::{Replay, ReplayRobot, Signals, drives, replay};
 use super::sensors::{LoggedHardware, Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
@@ -50,10 +50,12 @@ impl TrajectoryModel<'_> {
         let models: Result<Vec<Vec<Model>>> = settings.iter().map(|s| self.models(s, dt)).collect();
         let lost = || vec![vec![Signals::default(); self.windows.len()]; settings.len()];
         let Ok(models) = models else { return lost() };
-        let turned: Vec<_> = settings.iter().map(|(_, difference)| self.drives_with(*difference)).collect();
+        let finer = (finer != 1.0).then(|| drives(&self.runs, &self.windows, dt));
+        let drives = finer.as_deref().unwrap_or(&self.drives);
+        let turned: Vec<_> = settings.iter().map(|(_, difference)| drives_with(drives, *difference)).collect();
         let task = |(s, k): (usize, usize)| Replay {
             model: &models[s][self.windows[k].run],
-            drive: &turned[s].as_ref().unwrap_or(&self.drives)[k],
+            drive: &turned[s].as_deref().unwrap_or(drives)[k],
             imu: self.experiment.file.imu.position,
         };
         let tasks: Vec<Replay> =
@@ -78,9 +80,9 @@ impl TrajectoryModel<'_> {
     /// The predicted numbers of all windows; the servo's channel is 0.
     pub(super) fn read(&self, tracks: &[Signals], mounting: Mounting) -> Vec<f64> {
         let of = |(k, track): (usize, &Signals)| {
-            let (window, tick) = (&self.windows[k], self.drives[k].tick);
+            let window = &self.windows[k];
             let times = &self.runs[window.run].t;
-            read(&self.layout, window, times, track, tick, mounting, self.experiment.file.imu.quat)
+            read(&self.layout, window, times, track, mounting, self.experiment.file.imu.quat)
         };
         tracks.iter().enumerate().flat_map(of).collect()
     }
