@@ -73,11 +73,13 @@ pub struct NuisanceState {
     pub id: &'static str,
     pub of: Option<String>,
     pub value: f64,
+    /// Is it fitted? If not, its column is of no use.
+    pub free: bool,
 }
 
 impl From<&Nuisance> for NuisanceState {
     fn from(n: &Nuisance) -> Self {
-        Self { id: n.id, of: n.of.clone(), value: 0.0 }
+        Self { id: n.id, of: n.of.clone(), value: 0.0, free: n.sd > 0.0 }
     }
 }
 

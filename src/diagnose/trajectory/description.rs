@@ -2,17 +2,17 @@
 //! these effects has a formula, so replays of a robot that differs from its description show them.
 
 use super::model::TrajectoryModel;
-use super::replay::{ReplayRobot, ReplayedJoint};
+use super::replay::{LAW, LoggedMotion, ReplayRobot};
 use crate::error::Result;
 use crate::fit::slope;
 use crate::forward::SandParameters;
 use crate::known::key;
-use crate::nuisance::{Nuisance, NuisanceState, estimate};
+use crate::nuisance::{Nuisance, NuisanceState};
 use crate::sand::mechanism::Mechanisms;
 use crate::sim::State;
 use crate::sim::tree::contact::contact_points;
 use crate::sim::tree::kinematics::frames;
-use crate::sim::tree::{Geometry, TreeModel, TreeShape, of_touching};
+use crate::sim::tree::{Geometry, TreeModel, TreeShape};
 use nalgebra::{Point3, Vector3};
 use std::sync::Arc;
 
@@ -60,7 +60,8 @@ impl RobotQuantity {
         match self {
             Self::Payload => 2.5,
             Self::FootSize => 5.0,
-            Self::Center(_) | Self::JointZero(_) => 1.0,
+            Self::Center(_) => 0.2,
+            Self::JointZero(_) => 1.0,
         }
     }
 
@@ -76,7 +77,7 @@ impl RobotQuantity {
 }
 
 impl ReplayRobot {
-    /// The robot with a difference from its description. A joint's zero is a matter of [`ReplayedJoint::turned`]. Of robots that are not
+    /// The robot with a difference from its description. A joint's zero is a matter of [`LoggedMotion::turned`]. Of robots that are not
     /// from a URDF or MJCF file only the mass can differ.
     fn differing(&self, (quantity, value): Difference) -> Result<Self> {
         let (model, touching) = match (self, quantity) {
@@ -99,8 +100,10 @@ impl ReplayRobot {
                     let own = &mut tree.bodies[body].shapes[shape];
                     *own = scaled(own, 1.0 + value);
                 }
-                new.plates = Arc::new(of_touching(&tree, touching, None)?);
                 new.contacts = Arc::new(contact_points(&tree));
+                new.tree = Arc::new(tree);
+                new = new.with_fine_plates(touching, LAW)?;
+                return Ok(Self::Tree(Arc::new(new), touching.clone()));
             }
             RobotQuantity::JointZero(_) => {}
         }
@@ -175,63 +178,120 @@ impl TrajectoryModel<'_> {
         }
     }
 
-    /// What a wrong description changes, linearised at `values`; `here` is the prediction for the robot as described.
+    /// What a wrong description changes, linearised at `values`; `here` is the prediction for the robot as described. Two differences
+    /// together are not the sum of each alone, so if one of them is far from 0, all are taken together.
     pub(super) fn described(&self, sand: &SandParameters, here: &[f64], values: &[NuisanceState]) -> Vec<Nuisance> {
-        // Each quantity with its prior standard deviation, the step of its derivative, and the value at which this is taken.
-        let all: Vec<(RobotQuantity, f64, f64, f64)> = (self.differences().into_iter())
-            .map(|(quantity, sd)| {
-                let value = estimate(values, quantity.id(), self.owner(quantity).as_deref());
-                let step = quantity.step() * sd;
-                (quantity, sd, step, if value.abs() > LINEAR * step { value } else { 0.0 })
-            })
-            .collect();
-        // The prediction at each value, and one step further.
-        let asked = all.iter().flat_map(|&(quantity, _, step, at)| [(quantity, at), (quantity, at + step)]);
-        let asked: Vec<Difference> = asked.filter(|(_, value)| *value != 0.0).collect();
-        let mut found = self.differing(sand, &asked).into_iter();
-        let mut of = |value: f64| if value == 0.0 { None } else { found.next() }.unwrap_or_else(|| here.to_vec());
-        let one = |(quantity, sd, step, at): (RobotQuantity, f64, f64, f64)| {
-            let (there, further) = (of(at), of(at + step));
-            let rate = slope(&further, &there, step);
-            let bend = there.iter().zip(here).zip(&rate).map(|((there, here), rate)| there - here - at * rate);
-            let bend: Vec<f64> = if at == 0.0 { Vec::new() } else { bend.collect() };
-            let own = Nuisance::linear(quantity.id(), quantity.unit(), sd, rate).bent(bend);
-            Nuisance { of: self.owner(quantity), nearly_linear: LINEAR * step, ..own }
+        let all = self.differences();
+        let state = |quantity: RobotQuantity| {
+            let owner = self.owner(quantity);
+            values.iter().find(|s| s.id == quantity.id() && s.of == owner)
         };
-        all.into_iter().map(one).collect()
+        let value = |quantity: RobotQuantity| state(quantity).map_or(0.0, |s| s.value);
+        let fitted = |quantity: RobotQuantity| state(quantity).is_none_or(|s| s.free);
+        let far = all.iter().any(|&(quantity, sd)| value(quantity).abs() > LINEAR * quantity.step() * sd);
+        let base: Vec<Difference> =
+            all.iter().map(|&(quantity, _)| (quantity, value(quantity))).filter(|d| far && d.1 != 0.0).collect();
+        let at = |quantity: RobotQuantity| base.iter().find(|d| d.0 == quantity).map_or(0.0, |d| d.1);
+        // What is not fitted has the derivative of the robot as described, which is known already.
+        let further = |&(quantity, sd): &(RobotQuantity, f64)| -> Vec<Difference> {
+            let others = base.iter().copied().filter(|d| fitted(quantity) && d.0 != quantity);
+            others.chain([(quantity, at(quantity) + quantity.step() * sd)]).collect()
+        };
+        let asked: Vec<Vec<Difference>> = std::iter::once(base.clone()).chain(all.iter().map(further)).collect();
+        let mut found = self.differing(sand, here, &asked).into_iter();
+        let there = found.next().unwrap_or_default();
+        let mut bend: Vec<f64> = there.iter().zip(here).map(|(there, here)| there - here).collect();
+        let mut nuisances: Vec<Nuisance> = Vec::with_capacity(all.len());
+        for (&(quantity, sd), further) in all.iter().zip(found) {
+            let step = quantity.step() * sd;
+            let rate = slope(&further, if fitted(quantity) { &there } else { here }, step);
+            bend.iter_mut().zip(&rate).for_each(|(bend, rate)| *bend -= at(quantity) * rate);
+            let own = Nuisance::linear(quantity.id(), quantity.unit(), sd, rate);
+            nuisances.push(Nuisance { of: self.owner(quantity), nearly_linear: LINEAR * step, ..own });
+        }
+        // One of the nuisances has what all of them together bend.
+        let first = all.iter().position(|&(quantity, _)| at(quantity) != 0.0);
+        if let Some(own) = first.and_then(|place| nuisances.get_mut(place)) {
+            *own = own.clone().bent(bend);
+        }
+        nuisances
     }
 
-    /// Predictions for robots that differ from their description, each in one quantity.
-    fn differing(&self, sand: &SandParameters, differences: &[Difference]) -> Vec<Vec<f64>> {
+    /// Predictions for robots with differences from their description; `here` is that without any.
+    fn differing(&self, sand: &SandParameters, here: &[f64], all: &[Vec<Difference>]) -> Vec<Vec<f64>> {
         let strong = (Mechanisms { motor_torque_limit: 0.0, ..sand.0 }, sand.1);
-        let own = |(quantity, value): &Difference| key(&strong, &[&quantity.code()[..], &[*value]].concat());
-        let stacks = self.known_differences.of(differences.iter().map(own).collect(), |new| {
-            let settings: Vec<_> = new.iter().map(|&k| (*sand, Some(differences[k]))).collect();
+        let own = |differences: &Vec<Difference>| {
+            let mut ordered = differences.clone();
+            ordered.sort_by(|a, b| a.0.code().partial_cmp(&b.0.code()).unwrap_or(std::cmp::Ordering::Equal));
+            key(&strong, &ordered.iter().flat_map(|(q, value)| [q.code()[0], q.code()[1], *value]).collect::<Vec<_>>())
+        };
+        let some: Vec<&Vec<Difference>> = all.iter().filter(|differences| !differences.is_empty()).collect();
+        let stacks = self.known_differences.of(some.iter().map(|d| own(d)).collect(), |new| {
+            let settings: Vec<_> = new.iter().map(|&k| (*sand, some[k].clone())).collect();
             self.readings(&settings)
         });
-        stacks.into_iter().map(|stack| self.logged(stack, self.limit(sand), &self.hardware)).collect()
+        let mut found = stacks.into_iter().map(|stack| self.logged(stack, self.limit(sand), &self.hardware));
+        let of = |differences: &Vec<Difference>| match differences.is_empty() {
+            true => here.to_vec(),
+            false => found.next().unwrap_or_else(|| here.to_vec()),
+        };
+        all.iter().map(of).collect()
     }
 
-    /// The robot of each run with a difference.
-    pub(super) fn bodies_with(&self, difference: Option<Difference>) -> Result<Vec<ReplayRobot>> {
-        let Some(difference) = difference else { return Ok(self.bodies.clone()) };
-        // All runs of a robot from a file have the same robot.
-        if matches!(self.bodies[0], ReplayRobot::Tree(..)) {
-            return Ok(vec![self.bodies[0].differing(difference)?; self.bodies.len()]);
+    /// The robot of each run with differences.
+    pub(super) fn bodies_with(&self, differences: &[Difference]) -> Result<Vec<ReplayRobot>> {
+        let with = |body: &ReplayRobot, all: &[Difference]| all.iter().try_fold(body.clone(), |b, d| b.differing(*d));
+        if !matches!(self.bodies[0], ReplayRobot::Tree(..)) {
+            return self.bodies.iter().map(|body| with(body, differences)).collect();
         }
-        self.bodies.iter().map(|body| body.differing(difference)).collect()
+        // All runs of a robot from a file have the same robot. New plates for its feet take as long as a replay, so they are kept.
+        let (feet, others): (Vec<Difference>, Vec<Difference>) =
+            differences.iter().copied().partition(|d: &Difference| d.0 == RobotQuantity::FootSize);
+        let sizes: Vec<u64> = feet.iter().map(|d| d.1.to_bits()).collect();
+        let body = self.feet.of(&sizes, || with(&self.bodies[0], &feet));
+        let body = body.as_ref().as_ref().map_err(Clone::clone)?;
+        Ok(vec![with(body, &others)?; self.bodies.len()])
     }
 }
 
-/// The motion of each window's joints with a difference; None: it does not change the motion.
-pub(super) fn drives_with(drives: &[ReplayedJoint], difference: Option<Difference>) -> Option<Vec<ReplayedJoint>> {
-    let Some((RobotQuantity::JointZero(joint), value)) = difference else { return None };
-    Some(drives.iter().map(|drive| drive.turned(joint, value)).collect())
+/// The motion of each window's joints with differences; None: they do not change the motion.
+pub(super) fn drives_with(drives: &[LoggedMotion], differences: &[Difference]) -> Option<Vec<LoggedMotion>> {
+    let mut turned = None;
+    for (quantity, value) in differences {
+        if let RobotQuantity::JointZero(joint) = quantity {
+            let before = turned.as_deref().unwrap_or(drives);
+            turned = Some(before.iter().map(|drive| drive.turned(*joint, *value)).collect());
+        }
+    }
+    turned
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::progress::{Latch, Silent};
+    use crate::sim::model::Scene;
+    use crate::trajectory::replay::{Replay, replay};
+
+    /// Robots with other feet are replayed with their own feet, also if they are replayed together with others.
+    #[test]
+    fn each_robot_has_its_own_feet() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/sandcat.xml");
+        let robot = ReplayRobot::load(file, None).unwrap();
+        let large = robot.differing((RobotQuantity::FootSize, 0.5)).unwrap();
+        let sand = crate::sand::Medium::named("poppy-loose").unwrap();
+        let models = [&robot, &large].map(|robot| robot.model(&Scene::flat(sand.clone())).unwrap());
+        let ReplayRobot::Tree(tree, _) = &robot else { panic!("sandcat is read from a file") };
+        let drive = LoggedMotion::held(&tree.stance.angles, 200, 1e-3);
+        let of = |model| Replay { model, drive: &drive, imu: [0.0; 3] };
+        let latch = Latch::new(&Silent);
+        let replayed = |tasks: &[Replay]| replay(robot.engine(), tasks, &latch).unwrap();
+        let [plain, alone] = [&models[0], &models[1]].map(|model| replayed(&[of(model)]).swap_remove(0).signals);
+        let together = replayed(&[of(&models[0]), of(&models[1])]);
+        assert_eq!(together[0].signals, plain);
+        assert_eq!(together[1].signals, alone);
+        assert_ne!(plain, alone);
+    }
 
     #[test]
     fn a_larger_foot_keeps_its_centre_and_a_peg_its_length() {

@@ -65,7 +65,7 @@ impl ForwardModel for TrajectoryModel<'_> {
 
     fn nuisances(&self, sand: &SandParameters, values: &[NuisanceState]) -> Vec<Nuisance> {
         let here = self.predict(sand);
-        let tracks = self.replays.of(sand, || self.tracks(&[(*sand, None)], 1.0).swap_remove(0));
+        let tracks = self.replays.of(sand, || self.tracks(&[(*sand, Vec::new())], 1.0).swap_remove(0));
         let mut all = self.mounting(&tracks, values);
         all.push(self.torque_delay(&tracks, values));
         // A wrong torque constant changes the logged torques of a given motion. The ratio of logged to requested torques is

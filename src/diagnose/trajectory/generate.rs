@@ -1,6 +1,6 @@
 //! Logs for tests: the hexapod walks with servos in engine `rapier`, which is not the engine that replays the logs, and its sensors have errors.
 
-use super::replay::{Replay, ReplayedJoint, Signals, sample};
+use super::replay::{LoggedMotion, Replay, Signals, sample};
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::{Coefficients, Medium};
 use crate::series::interpolate;
@@ -97,7 +97,7 @@ fn rows(
     walk_watched(EngineKind::Rapier, trial, &|_| Ok(()), &mut watch).unwrap();
     let joints = trial.model.joints();
     let imu = [0.01, 0.0, 0.0];
-    let (model, drive) = (&trial.model, ReplayedJoint::still(joints, 1e-3));
+    let (model, drive) = (&trial.model, LoggedMotion::held(&vec![0.0; joints], 0, 1e-3));
     let mut track = Signals::empty(joints, states.len(), model.scene.dt);
     let task = Replay { model, drive: &drive, imu };
     states.windows(2).for_each(|s| sample(&task, &s[0], &s[1], &mut track));

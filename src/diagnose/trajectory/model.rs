@@ -1,7 +1,7 @@
 //! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
 use super::log::Run;
-use super::replay::{ReplayRobot, ReplayedJoint, Signals, drives};
+use super::replay::{LoggedMotion, ReplayRobot, Signals, drives};
 use super::sensors::{Layout, LoggedHardware};
 use super::servo::{self, RequestedTorques};
 use super::windows::{BINS, Integral, Window, bins, windows};
@@ -28,7 +28,7 @@ pub struct TrajectoryModel<'a> {
     /// The robot of each run.
     pub(super) bodies: Vec<ReplayRobot>,
     pub(super) windows: Vec<Window>,
-    pub(super) drives: Vec<ReplayedJoint>,
+    pub(super) drives: Vec<LoggedMotion>,
     /// Window of each unit.
     pub(super) window_of: Vec<usize>,
     pub(super) layout: Layout,
@@ -43,6 +43,8 @@ pub struct TrajectoryModel<'a> {
     pub(super) known_near_plain: Known<Vec<f64>>,
     /// Predictions for robots that differ from their description, which nuisances are asked for again and again.
     pub(super) known_differences: Known<Vec<f64>>,
+    /// The robot with the last sizes of its feet.
+    pub(super) feet: Recent<Vec<u64>, Result<ReplayRobot>>,
     /// The replays in the last sands, which nuisances are asked for again and again.
     pub(super) replays: Recent<SandParameters, Vec<Signals>>,
 }
@@ -97,7 +99,7 @@ impl<'a> TrajectoryModel<'a> {
     ) -> Self {
         let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
         let mut model = Self {
-            drives: drives(&runs, &windows, Scene::DEFAULT_DT),
+            drives: Vec::new(),
             window_of: windows.iter().enumerate().flat_map(of_window).collect(),
             hardware: LoggedHardware::of(&experiment.given.hardware),
             asked: None,
@@ -105,6 +107,7 @@ impl<'a> TrajectoryModel<'a> {
             known: Known::up_to(KNOWN),
             known_near_plain: Known::up_to(KNOWN),
             known_differences: Known::up_to(2 * KNOWN),
+            feet: Recent::up_to(8),
             replays: Recent::up_to(2),
             latch,
             experiment,
@@ -113,6 +116,7 @@ impl<'a> TrajectoryModel<'a> {
             windows,
             layout,
         };
+        model.drives = drives(&model.runs, &model.windows, Scene::DEFAULT_DT, model.guide().as_ref());
         model.moving = model.moving();
         model
     }

@@ -80,7 +80,7 @@ impl TrajectoryModel<'_> {
 
     /// The torques that the joints' motion needs on plain sand. The servos would request these torques from the motors.
     fn needed(&self) -> Option<RequestedTorques> {
-        let tracks = self.tracks(&[(self.plain_sand(), None)], 1.0).swap_remove(0);
+        let tracks = self.tracks(&[(self.plain_sand(), Vec::new())], 1.0).swap_remove(0);
         let of = |window: &Window, track: &Signals| -> Option<Vec<Vec<f64>>> {
             let run = &self.runs[window.run];
             let tick = |t: f64| (((t - window.from) / Scene::DEFAULT_DT).round() as usize).max(1) - 1;

@@ -10,14 +10,17 @@ use crate::error::{Error, Result};
 use crate::experiment::Experiment;
 use crate::progress::Latch;
 use crate::robots;
-use crate::series::central_difference;
+use crate::sand::Law;
+use crate::series::{central_difference, interpolate};
 use crate::sim::actuator::Actuator;
 use crate::sim::engine::{Command, Engine, EngineKind};
 use crate::sim::model::{GRAVITY, Scene};
-use crate::sim::tree::{JointKind, TreeModel, of_touching};
+use crate::sim::tree::{JointKind, TreeModel};
 use crate::sim::{Model, Robot, State};
 use std::path::Path;
 use std::sync::Arc;
+
+type V = nalgebra::Vector3<f64>;
 
 /// Angle by which a joint of a robot from a URDF or MJCF file lags in a replay under a torque of the robot's weight times the length
 /// of its legs [rad]: our choice. Numbers of 32 bits resolve an angle of 1 rad to 1e-7, so a torque to a thousandth of this one. A
@@ -28,6 +31,13 @@ const LAG_TIME: f64 = 0.01;
 /// Stiffness of a replay's servos as a multiple of the robot's own, for our own robots, whose joints turn and turn: our choice.
 /// Numbers of 32 bits then still resolve the torque to a hundredth of its rms.
 const STIFFER: f64 = 20.0;
+/// The law of a replay's sand: the diagnosis has no other.
+pub const LAW: Law = Law::Li2013;
+/// Time in which the angular velocity of a robot's base from a URDF or MJCF file follows that of the log, as a share of the time scale
+/// √(length of the legs/g) of a fall: our choice. A walk on two feet is unstable, so a small error of its replay would grow to a fall.
+/// The replay is the predictor of an observer with this gain (Ljung, System Identification, 1999, section 4.3): a replay of the robot
+/// and the sand of the log is not changed by it.
+const FOLLOWS: f64 = 0.6;
 /// Number of signals in addition to the torques: angular velocity, specific force, upward direction (three each, in the base's frame),
 /// horizontal speed and height.
 pub const SIGNALS: usize = 11;
@@ -61,8 +71,8 @@ impl ReplayRobot {
         }
         let import = robots::load(Path::new(name))?;
         let touching = import.touching(touches)?;
-        let plates = of_touching(&import.tree, &touching, None)?;
-        Ok(Self::Tree(Arc::new(TreeModel::new(import.tree, plates)?), Arc::new(touching)))
+        let bare = TreeModel::new(import.tree, Vec::new())?;
+        Ok(Self::Tree(Arc::new(bare.with_fine_plates(&touching, LAW)?), Arc::new(touching)))
     }
 
     pub fn joint_names(&self) -> Vec<String> {
@@ -158,18 +168,22 @@ fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
     (2.0 * s3 - 3.0 * s2 + 1.0) * q[left] + (s3 - 2.0 * s2 + s) * m0 + (3.0 * s2 - 2.0 * s3) * q[right] + (s3 - s2) * m1
 }
 
-/// Joint angles of a window, tick by tick, all joints one after the other. A tick is a time step of the engine: with several steps in a
-/// tick, the joints would be accelerated in the first of them.
+/// The logged motion in a window, tick by tick. A tick is a time step of the engine: with several steps in a tick, the joints would be
+/// accelerated in the first of them.
 #[derive(Clone)]
-pub struct ReplayedJoint {
+pub struct LoggedMotion {
     pub tick: f64,
     pub ticks: usize,
     joints: usize,
+    /// Joint angles, all joints one after the other [rad].
     angles: Vec<f64>,
+    /// Angular velocity of the base in its own frame [rad/s]; empty if the base does not follow it.
+    turning: Vec<V>,
 }
 
-impl ReplayedJoint {
-    pub fn new(run: &Run, window: &Window, tick: f64) -> Self {
+impl LoggedMotion {
+    /// `guide`: where the gyro is mounted; None: the base does not follow it.
+    pub fn new(run: &Run, window: &Window, tick: f64, guide: Option<&Guide>) -> Self {
         let ticks = ((window.end() + BEYOND - window.from) / tick).ceil() as usize;
         let joints = run.q.len();
         let mut angles = vec![0.0; joints * (ticks + 1)];
@@ -179,7 +193,14 @@ impl ReplayedJoint {
                 angles[k * joints + j] = between(&run.t, &smooth, window.from + k as f64 * tick);
             }
         }
-        Self { tick, ticks, joints, angles }
+        let turning = match guide {
+            Some(guide) if !run.gyro[0].is_empty() => {
+                let at = |k: usize| guide.turning(run, window.from + k as f64 * tick);
+                (0..=ticks).map(at).collect()
+            }
+            _ => Vec::new(),
+        };
+        Self { tick, ticks, joints, angles, turning }
     }
 
     /// The same motion with one joint's angle larger by `value` [rad].
@@ -189,10 +210,10 @@ impl ReplayedJoint {
         new
     }
 
-    /// Joints that stay at 0.
+    /// Joints that stay at these angles.
     #[cfg(test)]
-    pub fn still(joints: usize, tick: f64) -> Self {
-        Self { tick, ticks: 0, joints, angles: vec![0.0; joints] }
+    pub fn held(angles: &[f64], ticks: usize, tick: f64) -> Self {
+        Self { tick, ticks, joints: angles.len(), angles: angles.repeat(ticks + 1), turning: Vec::new() }
     }
 
     /// Speeds of the joints over a tick [rad/s].
@@ -206,9 +227,24 @@ impl ReplayedJoint {
     }
 }
 
-/// The motion of the joints in all windows.
-pub fn drives(runs: &[Run], windows: &[Window], tick: f64) -> Vec<ReplayedJoint> {
-    windows.iter().map(|window| ReplayedJoint::new(&runs[window.run], window, tick)).collect()
+/// The logged motion in all windows.
+pub fn drives(runs: &[Run], windows: &[Window], tick: f64, guide: Option<&Guide>) -> Vec<LoggedMotion> {
+    windows.iter().map(|window| LoggedMotion::new(&runs[window.run], window, tick, guide)).collect()
+}
+
+/// How the gyro is mounted.
+pub struct Guide {
+    /// Rotation from the IMU's frame to the base's.
+    pub turn: nalgebra::Matrix3<f64>,
+    /// Delay of its readings [s].
+    pub delay: f64,
+}
+
+impl Guide {
+    /// Angular velocity of the base in its own frame at a time [rad/s].
+    fn turning(&self, run: &Run, time: f64) -> V {
+        self.turn * V::from_fn(|k, _| interpolate(&run.t, &run.gyro[k], time + self.delay))
+    }
 }
 
 /// The result of one replay: each signal at every tick, first the torques, then the other [`SIGNALS`] signals. The first value is
@@ -243,7 +279,7 @@ impl Signals {
 /// One replay: the model, its joints' motion, and the position of the IMU [m].
 pub struct Replay<'a> {
     pub model: &'a Model,
-    pub drive: &'a ReplayedJoint,
+    pub drive: &'a LoggedMotion,
     pub imu: [f64; 3],
 }
 
@@ -252,7 +288,12 @@ pub fn replay(engine: EngineKind, tasks: &[Replay], latch: &Latch) -> Result<Vec
     // Each engine has one block of lanes. Tasks of similar length share an engine, so that few lanes are idle.
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
-    let chunks: Vec<&[usize]> = order.chunks(engine.lanes()?).collect();
+    // All lanes of an engine have the same plates.
+    let plates = |k: usize| tasks[k].model.tree.as_ref().map_or(0, |tree| Arc::as_ptr(&tree.patches).addr());
+    order.sort_by_key(|&k| plates(k));
+    let lanes = engine.lanes()?;
+    let chunks: Vec<&[usize]> =
+        order.chunk_by(|a, b| plates(*a) == plates(*b)).flat_map(|alike| alike.chunks(lanes)).collect();
     let done = crate::parallel::map(&chunks, |chunk| {
         let own: Vec<&Replay> = chunk.iter().map(|&k| &tasks[k]).collect();
         block(engine, &own, latch)
@@ -298,6 +339,10 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
         for (i, task) in tasks.iter().enumerate().filter(|(_, t)| k < t.drive.ticks) {
             engine.state(i, &mut now);
             sample(task, &before[i], &now, &mut tracks[i]);
+            if let Some(turning) = task.drive.turning.get(k + 1) {
+                follow(task, &mut now, turning);
+                engine.set_state(i, &now);
+            }
             // The next call of `state` overwrites `now`.
             std::mem::swap(&mut before[i], &mut now);
         }
@@ -315,7 +360,15 @@ fn start(task: &Replay) -> State {
     State { rates: task.drive.rates(0), ..State::at_rest(height, angles) }
 }
 
-type V = nalgebra::Vector3<f64>;
+/// The base's angular velocity moves toward the logged one, `turning`.
+fn follow(task: &Replay, now: &mut State, turning: &V) {
+    let Some(tree) = &task.model.tree else { return };
+    let rows = now.rotation();
+    let rotation = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
+    let fall = (tree.stance.leg_length / task.model.gravity.norm()).sqrt();
+    let omega = V::from(now.angular_velocity);
+    now.angular_velocity = (omega + task.drive.tick / (FOLLOWS * fall) * (rotation * turning - omega)).into();
+}
 
 /// Appends what the sensors read over the tick from `before` to `now`.
 pub fn sample(task: &Replay, before: &State, now: &State, track: &mut Signals) {

@@ -105,7 +105,7 @@ type M = nalgebra::Matrix3<f64>;
 
 impl Mounting {
     /// Rotation from the base's frame to the IMU's frame; `quat` is the mounting that the experiment file states.
-    fn to_imu(self, quat: [f64; 4]) -> M {
+    pub fn to_imu(self, quat: [f64; 4]) -> M {
         let [w, x, y, z] = quat;
         let nominal = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
         let turn = nalgebra::UnitQuaternion::from_scaled_axis(nalgebra::Vector3::from(self.turn));

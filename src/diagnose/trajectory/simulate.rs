@@ -2,7 +2,7 @@
 
 use super::description::{Difference, drives_with};
 use super::model::TrajectoryModel;
-use super::replay::{Replay, ReplayRobot, Signals, drives, replay};
+use super::replay::{Guide, Replay, ReplayRobot, Signals, drives, replay};
 use super::sensors::{LoggedHardware, Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
@@ -20,11 +20,11 @@ const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
 const SETTLED: f64 = 4.0;
 
 /// The sand of a replay, and what differs between the robot and its description.
-pub(super) type Setting = (SandParameters, Option<Difference>);
+pub(super) type Setting = (SandParameters, Vec<Difference>);
 
 impl TrajectoryModel<'_> {
-    pub(super) fn models(&self, ((mechanisms, coefficients), difference): &Setting, dt: f64) -> Result<Vec<Model>> {
-        let bodies = self.bodies_with(*difference)?;
+    pub(super) fn models(&self, ((mechanisms, coefficients), differences): &Setting, dt: f64) -> Result<Vec<Model>> {
+        let bodies = self.bodies_with(differences)?;
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium().clone() });
             // The joints move as logged, so a weak motor has no effect in the replay; it has an effect on the servo's channel.
@@ -38,9 +38,16 @@ impl TrajectoryModel<'_> {
         (0..self.runs.len()).map(of).collect()
     }
 
+    /// The mounting of the gyro that the base of a robot from a URDF or MJCF file follows.
+    pub(super) fn guide(&self) -> Option<Guide> {
+        let mounting = self.hardware.mounting;
+        let turn = mounting.to_imu(self.experiment.file.imu.quat).transpose();
+        matches!(self.bodies[0], ReplayRobot::Tree(..)).then_some(Guide { turn, delay: mounting.delay })
+    }
+
     /// Mass of the robot as described [kg].
     pub(super) fn mass(&self) -> f64 {
-        let models = self.models(&(self.plain_sand(), None), Scene::DEFAULT_DT);
+        let models = self.models(&(self.plain_sand(), Vec::new()), Scene::DEFAULT_DT);
         models.ok().and_then(|all| all.first().map(Model::total_mass)).unwrap_or(1.0)
     }
 
@@ -50,9 +57,9 @@ impl TrajectoryModel<'_> {
         let models: Result<Vec<Vec<Model>>> = settings.iter().map(|s| self.models(s, dt)).collect();
         let lost = || vec![vec![Signals::default(); self.windows.len()]; settings.len()];
         let Ok(models) = models else { return lost() };
-        let finer = (finer != 1.0).then(|| drives(&self.runs, &self.windows, dt));
+        let finer = (finer != 1.0).then(|| drives(&self.runs, &self.windows, dt, self.guide().as_ref()));
         let drives = finer.as_deref().unwrap_or(&self.drives);
-        let turned: Vec<_> = settings.iter().map(|(_, difference)| drives_with(drives, *difference)).collect();
+        let turned: Vec<_> = settings.iter().map(|(_, differences)| drives_with(drives, differences)).collect();
         let task = |(s, k): (usize, usize)| Replay {
             model: &models[s][self.windows[k].run],
             drive: &turned[s].as_deref().unwrap_or(drives)[k],
@@ -89,7 +96,7 @@ impl TrajectoryModel<'_> {
 
     /// Predicted numbers of one state, with another time step and hardware than in [`Self::simulate`].
     pub(super) fn replayed(&self, sand: &SandParameters, finer: f64, hardware: &LoggedHardware) -> Vec<f64> {
-        let tracks = self.tracks(&[(*sand, None)], finer).swap_remove(0);
+        let tracks = self.tracks(&[(*sand, Vec::new())], finer).swap_remove(0);
         self.logged(self.read(&tracks, hardware.mounting), self.limit(sand), hardware)
     }
 
@@ -112,7 +119,7 @@ impl TrajectoryModel<'_> {
         let near = |(m, c): &SandParameters| *c == stated && m.values().iter().filter(|v| **v != 0.0).count() < 2;
         let known = if states.iter().all(near) { &self.known_near_plain } else { &self.known };
         let stacks = known.of(keys, |new| {
-            let settings: Vec<Setting> = new.iter().map(|&k| (states[k], None)).collect();
+            let settings: Vec<Setting> = new.iter().map(|&k| (states[k], Vec::new())).collect();
             self.readings(&settings)
         });
         let logged = |(stack, sand): (Vec<f64>, &SandParameters)| self.logged(stack, self.limit(sand), &self.hardware);

@@ -368,7 +368,7 @@ fn readings_are_not_late() {
     let latch = Latch::new(&Silent);
     let (mut model, _) = TrajectoryModel::new(runs, &experiment(), &latch).unwrap();
     let plain = (Mechanisms::default(), model.medium().coefficients);
-    let [coarse, fine] = [1.0, 16.0].map(|finer| model.tracks(&[(plain, None)], finer).swap_remove(0));
+    let [coarse, fine] = [1.0, 16.0].map(|finer| model.tracks(&[(plain, Vec::new())], finer).swap_remove(0));
     let [coarse, here] = [&coarse, &fine].map(|tracks| model.read(tracks, Mounting::default()));
     let shift = 1e-3;
     model.windows.iter_mut().flat_map(|w| &mut w.strides).flatten().for_each(|t| *t += shift);

@@ -6,6 +6,7 @@ use super::gains::{TreeMotor, motors};
 use super::kinematics::{frames, lowest};
 use super::looks::Looks;
 use super::patches::BodyPatches;
+use super::plates::of_body;
 use super::self_contact::SelfContact;
 use super::stance::Stance;
 use crate::State;
@@ -98,10 +99,26 @@ impl TreeModel {
         Self { looks: Arc::new(looks.finished()), ..self }
     }
 
-    /// The model with its plates gathered for `law`.
+    /// The model with its plates gathered for `law`, if they are not gathered yet.
     pub fn for_law(mut self, law: Law) -> Self {
-        self.patches = Arc::new(BodyPatches::all(&self.plates, law));
+        if self.patches.is_empty() {
+            self.patches = Arc::new(BodyPatches::all(&self.plates, law));
+        }
         self
+    }
+
+    /// The model with fine plates on the shapes that touch sand, indices of a body and of one of its shapes, gathered for `law`: with
+    /// them forces are accurate in every single pose ([`super::plates::of_body`]). A step takes twice the time.
+    pub fn with_fine_plates(mut self, touching: &[(usize, usize)], law: Law) -> Result<Self> {
+        let of = |body: usize| {
+            let own = touching.iter().filter(|t| t.0 == body).map(|t| &self.tree.bodies[body].shapes[t.1]);
+            of_body(&own.collect::<Vec<_>>())
+        };
+        let plates: Vec<_> = (0..self.tree.bodies.len()).map(of).collect::<Result<_>>()?;
+        let fine = plates.iter().enumerate().filter(|(_, own)| !own.is_empty());
+        self.patches = Arc::new(fine.map(|(body, own)| BodyPatches::fine(body, own, law)).collect());
+        self.plates = Arc::new(plates);
+        Ok(self)
     }
 
     /// A copy with `payload` [kg] at the base's centre of mass.

@@ -222,6 +222,9 @@ fn counts(areas: &[f64]) -> Vec<f64> {
 /// Plates of shapes that are fixed to one body, in the body's frame: finer than those of [`of_shapes`], for accurate
 /// forces in every single pose.
 pub fn of_body(shapes: &[&TreeShape]) -> Result<Vec<IntruderPlate>> {
+    if shapes.is_empty() {
+        return Ok(Vec::new());
+    }
     let small: Vec<f64> = shapes.iter().map(|s| (s.geometry.area() / FINE).sqrt()).collect();
     let visible = visible(shapes, &small)?;
     let count = |(plates, shape): (&Vec<IntruderPlate>, &&TreeShape)| {
