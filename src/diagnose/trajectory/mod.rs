@@ -68,8 +68,9 @@ pub fn measured<'a>(data: &Path, experiment: &Experiment, latch: &'a Latch<'a>) 
     let (runs, summary, findings) = read(data, experiment, latch)?;
     let (model, observations) = TrajectoryModel::new(runs, experiment, latch)?;
     consistency::against_replay(data, &model.layout, &observations.values, &model.plain())?;
+    let follows = model.follows().map_or("is free".into(), |time| format!("follows the gyro within {time:.2} s"));
     let note = format!(
-        "the logged joint angles are replayed, in {} windows with {} strides in all; {}",
+        "the logged joint angles are replayed, and the base {follows}, in {} windows with {} strides in all; {}",
         model.windows.len(),
         observations.units.len(),
         model.torque_channels(&observations.channels),

@@ -360,14 +360,18 @@ fn start(task: &Replay) -> State {
     State { rates: task.drive.rates(0), ..State::at_rest(height, angles) }
 }
 
+/// Time in which the base's angular velocity follows the log's [s].
+pub fn following_time(tree: &TreeModel) -> f64 {
+    FOLLOWS * (tree.stance.leg_length / GRAVITY).sqrt()
+}
+
 /// The base's angular velocity moves toward the logged one, `turning`.
 fn follow(task: &Replay, now: &mut State, turning: &V) {
     let Some(tree) = &task.model.tree else { return };
     let rows = now.rotation();
     let rotation = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
-    let fall = (tree.stance.leg_length / task.model.gravity.norm()).sqrt();
     let omega = V::from(now.angular_velocity);
-    now.angular_velocity = (omega + task.drive.tick / (FOLLOWS * fall) * (rotation * turning - omega)).into();
+    now.angular_velocity = (omega + task.drive.tick / following_time(tree) * (rotation * turning - omega)).into();
 }
 
 /// Appends what the sensors read over the tick from `before` to `now`.

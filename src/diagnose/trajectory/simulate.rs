@@ -2,7 +2,7 @@
 
 use super::description::{Difference, drives_with};
 use super::model::TrajectoryModel;
-use super::replay::{Guide, Replay, ReplayRobot, Signals, drives, replay};
+use super::replay::{Guide, Replay, ReplayRobot, Signals, drives, following_time, replay};
 use super::sensors::{LoggedHardware, Mounting, read};
 use super::windows::{BINS, bins};
 use crate::error::Result;
@@ -43,6 +43,14 @@ impl TrajectoryModel<'_> {
         let mounting = self.hardware.mounting;
         let turn = mounting.to_imu(self.experiment.file.imu.quat).transpose();
         matches!(self.bodies[0], ReplayRobot::Tree(..)).then_some(Guide { turn, delay: mounting.delay })
+    }
+
+    /// Time in which the base's angular velocity follows the log's [s]; None: the base is free.
+    pub(super) fn follows(&self) -> Option<f64> {
+        match &self.bodies[0] {
+            ReplayRobot::Tree(tree, _) => Some(following_time(tree)),
+            ReplayRobot::Legged(_) => None,
+        }
     }
 
     /// Mass of the robot as described [kg].
