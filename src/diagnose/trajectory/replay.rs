@@ -217,8 +217,8 @@ impl LoggedMotion {
     }
 
     /// Speeds of the joints over a tick [rad/s].
-    fn rates(&self, tick: usize) -> Vec<f64> {
-        self.at(tick).iter().zip(self.at(tick + 1)).map(|(from, to)| (to - from) / self.tick).collect()
+    fn rates(&self, tick: usize) -> impl Iterator<Item = f64> {
+        self.at(tick).iter().zip(self.at(tick + 1)).map(|(from, to)| (to - from) / self.tick)
     }
 
     fn at(&self, tick: usize) -> &[f64] {
@@ -332,7 +332,8 @@ fn block(kind: EngineKind, tasks: &[&Replay], latch: &Latch) -> Result<Vec<Signa
                 command.targets.clear();
                 command.targets.extend_from_slice(task.drive.at(k));
             }
-            command.rates = task.drive.rates(k);
+            command.rates.clear();
+            command.rates.extend(task.drive.rates(k));
             engine.command(i, &command);
         }
         engine.advance(1);
@@ -357,7 +358,7 @@ fn start(task: &Replay) -> State {
         Some(tree) => tree.standing_height(angles),
         None => task.model.standing_height(angles),
     };
-    State { rates: task.drive.rates(0), ..State::at_rest(height, angles) }
+    State { rates: task.drive.rates(0).collect(), ..State::at_rest(height, angles) }
 }
 
 /// Time in which the base's angular velocity follows the log's [s].
@@ -368,17 +369,20 @@ pub fn following_time(tree: &TreeModel) -> f64 {
 /// The base's angular velocity moves toward the logged one, `turning`.
 fn follow(task: &Replay, now: &mut State, turning: &V) {
     let Some(tree) = &task.model.tree else { return };
-    let rows = now.rotation();
-    let rotation = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
     let omega = V::from(now.angular_velocity);
-    now.angular_velocity = (omega + task.drive.tick / following_time(tree) * (rotation * turning - omega)).into();
+    now.angular_velocity = (omega + task.drive.tick / following_time(tree) * (turn(now) * turning - omega)).into();
+}
+
+/// Rotation from the base's frame to the world's.
+fn turn(state: &State) -> nalgebra::Matrix3<f64> {
+    let rows = state.rotation();
+    nalgebra::Matrix3::from_fn(|i, j| rows[i][j])
 }
 
 /// Appends what the sensors read over the tick from `before` to `now`.
 pub fn sample(task: &Replay, before: &State, now: &State, track: &mut Signals) {
     let tick = task.drive.tick;
-    let rows = now.rotation();
-    let turn = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
+    let turn = turn(now);
     let vector = V::from;
     let omega = vector(now.angular_velocity);
     let alpha = (omega - vector(before.angular_velocity)) / tick;
