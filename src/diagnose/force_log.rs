@@ -1,5 +1,7 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
+use super::broken::{self, Fault, TrialReadings};
+use super::check::finding::{Finding, Severity};
 use super::check::logged::LoggedTrial;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
@@ -56,15 +58,20 @@ struct Growing {
 
 /// Reads the log; `experiment` names shapes, medium and units.
 pub fn read(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<ForceLog> {
-    read_rows(path, experiment, progress).map(|read| read.0)
+    read_rows(path, experiment, progress).map(|read| read.log)
+}
+
+/// A log with what only checks need.
+pub struct ForceLogFile {
+    pub log: ForceLog,
+    /// The trials as they were logged.
+    pub trials: Vec<LoggedTrial>,
+    /// Faults of the sensor, whose rows are left out.
+    pub broken: Vec<Finding>,
 }
 
 /// The log, and its trials as they were logged, for checks.
-pub fn read_rows(
-    path: &Path,
-    experiment: &Experiment,
-    progress: &dyn Progress,
-) -> Result<(ForceLog, Vec<LoggedTrial>)> {
+pub fn read_rows(path: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<ForceLogFile> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
     let mut trials: Vec<Growing> = Vec::new();
     let mut medium = None;
@@ -103,10 +110,18 @@ pub fn read_rows(
         missing.push("Ty");
     }
     trials.iter_mut().for_each(mirror);
-    let logged = trials.iter_mut().map(|trial| std::mem::take(&mut trial.logged)).collect();
-    let mut log = assemble(trials, conditions.list, torque, missing, summary.sha256);
-    log.notes.extend(summary.notes);
-    Ok((log, logged))
+    let rests = without_rests(&mut trials);
+    let logged: Vec<LoggedTrial> = trials.iter_mut().map(|trial| std::mem::take(&mut trial.logged)).collect();
+    let channels = if torque { &CHANNELS[..] } else { &CHANNELS[..2] };
+    let faults = without_faults(&mut trials, channels.len());
+    let found = |fault: &Fault| {
+        let rows = fault.at.map(|i| logged[fault.trial].lines[i]);
+        Finding::new(Severity::Warn, &channels[fault.channel].name, &*fault.what, fault.remedy).at(rows)
+    };
+    let broken = faults.iter().map(found).collect();
+    let mut log = assemble(trials, conditions.list, channels, missing, summary.sha256);
+    log.notes.extend(rests.into_iter().chain(summary.notes));
+    Ok(ForceLogFile { log, trials: logged, broken })
 }
 
 impl Growing {
@@ -184,6 +199,7 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
         pass_dx: row.within(PASS_DX, MOST)?.unwrap_or(0.0),
         x_bed: row.within(X_BED, MOST)?.unwrap_or(0.0),
         poses: Vec::new(),
+        compared: Vec::new(),
     })
 }
 
@@ -240,21 +256,51 @@ fn pose(row: &Row, intruder: &Intruder, start: f64) -> Result<ArmPose> {
     })
 }
 
+/// Leaves rows out in which the intruder rests, and says so.
+fn without_rests(trials: &mut [Growing]) -> Option<String> {
+    trials.iter_mut().for_each(|trial| trial.track.compared = moving(&trial.track));
+    let rows: usize = trials.iter().map(|t| t.loads.len()).sum();
+    let resting = rows - trials.iter().map(|t| t.track.compared.len()).sum::<usize>();
+    let why = "there the intruder rests, and resistive force theory does not predict the force at rest";
+    (resting > 0).then(|| format!("{resting} of {rows} rows are left out: {why}"))
+}
+
+/// The channels of a log; not all logs have the last one.
+const CHANNELS: [Channel; 3] =
+    [Channel::new("Fx", "N", true), Channel::new("Fz", "N", true), Channel::new("Ty", "N·m", false)];
+
+/// Leaves rows out in which the sensor or the logger is at fault. Places of faults are samples of the trials.
+fn without_faults(trials: &mut [Growing], channels: usize) -> Vec<Fault> {
+    let of = |trial: &Growing| {
+        let series = |c: usize| trial.track.compared.iter().filter_map(|&i| trial.loads[i][c]).collect();
+        TrialReadings {
+            id: trial.id.clone(),
+            condition: trial.condition,
+            channels: (0..channels).map(series).collect(),
+        }
+    };
+    let readings: Vec<TrialReadings> = trials.iter().map(of).collect();
+    let mut faults = broken::faults(&readings);
+    for fault in &mut faults {
+        fault.at = fault.at.map(|i| trials[fault.trial].track.compared[i]);
+    }
+    for (trial, sound) in trials.iter_mut().zip(broken::sound(&readings, &faults)) {
+        let own = &mut trial.track.compared;
+        *own = sound.into_iter().map(|i| own[i]).collect();
+    }
+    faults
+}
+
 fn assemble(
     trials: Vec<Growing>,
     conditions: Vec<String>,
-    torque: bool,
+    channels: &[Channel],
     missing: Vec<&'static str>,
     sha256: String,
 ) -> ForceLog {
-    let mut channels = vec![Channel::new("Fx", "N", true), Channel::new("Fz", "N", true)];
-    if torque {
-        channels.push(Channel::new("Ty", "N·m", false));
-    }
     let (mut values, mut units, mut settings, mut setting_of) =
         (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
     let mut headings: Vec<Option<Heading>> = vec![None; conditions.len()];
-    let (mut rows, mut resting) = (0, 0);
     for trial in trials {
         let start = values.len();
         // Repetitions are matched along the direction of motion; a trial that never moves has none.
@@ -263,13 +309,10 @@ fn assemble(
         if !common.moves() {
             *common = own;
         }
-        let kept = moving(&trial.track);
-        let progress = progress(&trial.track, common);
+        let (kept, progress) = (&trial.track.compared, progress(&trial.track, common));
         for channel in 0..channels.len() {
             values.extend(kept.iter().filter_map(|&i| trial.loads[i][channel]));
         }
-        rows += trial.loads.len();
-        resting += trial.loads.len() - kept.len();
         let known = settings.iter().position(|t| *t == trial.track);
         units.push(Unit {
             id: trial.id,
@@ -283,30 +326,21 @@ fn assemble(
             settings.push(trial.track);
         }
     }
-    let said = || {
-        format!(
-            "{resting} of {rows} rows are left out: there the intruder rests, and resistive force theory does not predict the force at rest"
-        )
-    };
-    let notes = if resting > 0 { vec![said()] } else { Vec::new() };
-    let observations = Observations { size: Size::Force, values, channels, units, conditions };
-    ForceLog { observations, settings, setting_of, missing, notes, sha256 }
+    let observations = Observations { size: Size::Force, values, channels: channels.to_vec(), units, conditions };
+    ForceLog { observations, settings, setting_of, missing, notes: Vec::new(), sha256 }
 }
 
 /// A log of planned trials, each with a description: one condition for each, and zeros for forces.
 pub fn planned(trials: Vec<(Track, String)>, channels: usize) -> ForceLog {
     let (tracks, names): (Vec<Track>, Vec<String>) = trials.into_iter().unzip();
-    let trials = tracks
-        .into_iter()
-        .enumerate()
-        .map(|(i, track)| {
-            let samples = track.poses.len();
-            let (id, loads) = (i.to_string(), vec![[Some(0.0); 3]; samples]);
-            let (gammas, logged, start) = (Vec::new(), LoggedTrial::default(), 0.0);
-            Growing { id, condition: i, track, gammas, loads, logged, start }
-        })
-        .collect();
-    assemble(trials, names, channels > 2, Vec::new(), String::new())
+    let trials = tracks.into_iter().enumerate().map(|(i, track)| {
+        let (id, loads) = (i.to_string(), vec![[Some(0.0); 3]; track.poses.len()]);
+        let (gammas, logged, start) = (Vec::new(), LoggedTrial::default(), 0.0);
+        Growing { id, condition: i, track, gammas, loads, logged, start }
+    });
+    let mut trials: Vec<Growing> = trials.collect();
+    without_rests(&mut trials);
+    assemble(trials, names, &CHANNELS[..channels.min(CHANNELS.len())], Vec::new(), String::new())
 }
 
 /// Number of samples in a planned trial: our choice, as many as a log needs (docs/diagnosis.md, "What it needs").

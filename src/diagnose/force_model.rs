@@ -9,7 +9,6 @@ use super::form::vary;
 use super::forward::{Division, Feature, ForwardModel, Menu, SandParameters, Testable, stronger, testable};
 use super::known::Recent;
 use super::measuring::Measuring;
-use super::motion::moving;
 use super::nuisance::{Nuisance, NuisanceState};
 use super::observations::Observations;
 use super::response::{CoefficientResponse, is_linear};
@@ -35,8 +34,6 @@ pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
     pub(super) experiment: Experiment,
     pub(super) tracks: Vec<Track>,
-    /// For each track the indices of the samples in motion.
-    kept: Vec<Vec<usize>>,
     pub(super) cuts: BTreeMap<String, IntruderSegments>,
     /// Channels and units of the log; its values are not used.
     pub(super) layout: Observations,
@@ -71,7 +68,6 @@ impl<'a> ForceLogModel<'a> {
         Self {
             latch: None,
             experiment,
-            kept: log.settings.iter().map(moving).collect(),
             tracks: log.settings.clone(),
             cuts,
             layout: Observations { values: Vec::new(), ..log.observations.clone() },
@@ -100,9 +96,9 @@ impl<'a> ForceLogModel<'a> {
     /// A stack of f(time since the trial began, share of the trial's time, channel).
     pub(super) fn stack(&self, f: impl Fn(f64, f64, usize) -> f64) -> Vec<f64> {
         self.layout.stack(|u, channel, i| {
-            let (track, kept) = (&self.tracks[self.track_of[u]], &self.kept[self.track_of[u]]);
+            let track = &self.tracks[self.track_of[u]];
             let (first, last) = (track.poses[0].t, track.poses[track.poses.len() - 1].t);
-            let t = track.poses[kept[i]].t - first;
+            let t = track.poses[track.compared[i]].t - first;
             f(t, t / (last - first).max(1e-12), channel)
         })
     }
@@ -155,7 +151,7 @@ impl<'a> ForceLogModel<'a> {
         let at = |bed: usize| {
             self.layout.stack(|u, channel, i| {
                 let track = self.track_of[u];
-                loads[track][self.kept[track][i]][bed][channel]
+                loads[track][self.tracks[track].compared[i]][bed][channel]
             })
         };
         (0..N).map(at).collect()
@@ -269,8 +265,8 @@ impl ForwardModel for ForceLogModel<'_> {
             values: self
                 .track_of
                 .iter()
-                .map(|&t| (&self.tracks[t], &self.kept[t]))
-                .map(|(t, kept)| kept.iter().map(|&i| f(t, &t.poses[i])).collect())
+                .map(|&t| &self.tracks[t])
+                .map(|t| t.compared.iter().map(|&i| f(t, &t.poses[i])).collect())
                 .collect(),
         };
         vec![
@@ -320,7 +316,7 @@ impl ForwardModel for ForceLogModel<'_> {
                     let usual = track.poses.iter().map(|p| f(track, p).abs()).fold(0.0, f64::max);
                     // A speed below a tenth of the greatest is neither: our choice.
                     let part = |&i: &usize| Some(f(track, &track.poses[i])).filter(|v| v.abs() > 0.1 * usual);
-                    self.kept[t].iter().map(|i| part(i).map(|v| v > 0.0)).collect()
+                    track.compared.iter().map(|i| part(i).map(|v| v > 0.0)).collect()
                 })
                 .collect(),
         };

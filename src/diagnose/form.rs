@@ -14,10 +14,10 @@ use serde::Serialize;
 /// A quantity counts if its logarithm varies by at least this standard deviation over the data: our choice, a factor of 1.2 in either
 /// direction; a power of a quantity that hardly varies has no effect.
 const VARIES: f64 = 0.2;
-/// A form is rejected without left-out conditions, too, if 0 is farther from a power of the depth than this many halves of its 95 %
+/// A form is rejected without left-out conditions, too, if 0 is farther from a power of the depth or size than this many halves of its 95 %
 /// interval, 3 standard errors: our choice, as for a law beside a cause. They are those of the model's own errors where these are larger
 /// than the noise. Few conditions hardly tell two models apart where their samples do. What grows otherwise with the depth is a layer, a
-/// crust or a bottom, which no cause is. What grows with the speed may be a second cause, and in grains all forces grow with it a little.
+/// crust or a bottom, which no cause is, and these look different to intruders of other sizes. What grows with the speed may be a second cause, and in grains all forces grow with it a little.
 const CLEAR: f64 = 1.5;
 /// Least depth [m] and share of the greatest speed whose logarithm is used: our choices; the effects are negligible there.
 const SHALLOW: f64 = 2e-3;
@@ -33,7 +33,7 @@ pub struct FreePower {
     pub power: f64,
     pub ci95: [f64; 2],
     /// Does the interval exclude 0, and does a model with this power predict left-out conditions better beyond twice the standard error, or
-    /// is 0, for a power of the depth, farther away than 1.5 halves of it, after the interval was widened to the model's errors?
+    /// is 0, for a power of the depth or size, farther away than 1.5 halves of it, after the interval was widened to the model's errors?
     pub rejected: bool,
 }
 
@@ -46,7 +46,8 @@ impl FreePower {
     }
 }
 
-/// The name of the quantity and of the feature.
+/// The names of two quantities and of their features.
+const SPEED: &str = "speed";
 const DEPTH: &str = "depth";
 
 /// The logarithm of each quantity at each sample of each unit, less its mean; only of those that vary.
@@ -58,9 +59,9 @@ fn quantities(study: &FitInputs) -> Vec<(&'static str, Vec<Vec<f64>>)> {
         values
     };
     let mut all = Vec::new();
-    if let Some(speeds) = feature("speed") {
+    if let Some(speeds) = feature(SPEED) {
         let most = speeds.iter().flatten().copied().fold(0.0, f64::max);
-        all.push(("speed", floored(speeds, (SLOW * most).max(1e-9))));
+        all.push((SPEED, floored(speeds, (SLOW * most).max(1e-9))));
     }
     all.extend(feature(DEPTH).map(|depths| (DEPTH, floored(depths, SHALLOW))));
     let sizes = study.model.sizes();
@@ -116,7 +117,7 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
             by: (*by).into(),
             power,
             ci95: [power - half, power + half],
-            rejected: power.abs() > half && table.beats(k + 1, 0) || *by == DEPTH && power.abs() > clear * half,
+            rejected: power.abs() > half && table.beats(k + 1, 0) || *by != SPEED && power.abs() > clear * half,
         })
     };
     of.iter().enumerate().filter_map(tested).collect()

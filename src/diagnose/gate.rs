@@ -13,7 +13,7 @@ use super::observations::Unit;
 use super::study::FitInputs;
 use super::verdict::{Compared, Effect, Role, base};
 use super::whiten::Whitener;
-use super::words::digits;
+use super::words::{after, digits};
 use crate::number::dot;
 use crate::sand::Term;
 use crate::sand::mechanism::CATALOG;
@@ -37,6 +37,13 @@ const FAR: f64 = 3.0;
 pub fn far_coefficient(fit: &Fit) -> Option<String> {
     let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     (furthest.abs() > FAR).then(|| format!("a stress coefficient moved by {furthest:+.1} stated sd"))
+}
+
+/// Says so if a fit needs errors of the model itself as large as they may be: then they stand in for something that nobody has found.
+fn stands_in(fit: &Fit, nuisances: &[Nuisance]) -> Option<String> {
+    let fitted = nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
+    let (own, d) = fitted.filter(|(n, _)| n.is_of_the_model()).find(|(_, d)| at_bound(**d))?;
+    Some(format!("{} is at its bound beside it, {:.3}{}", own.id, d * own.sd, after(own.unit)))
 }
 
 /// An effect with its strength.
@@ -217,6 +224,7 @@ impl NameTests<'_> {
         }
         failed.extend(own.powers.iter().filter_map(FreePower::said));
         failed.extend(far_coefficient(&own.fit).map(|said| format!("{said} beside it, so the force law does not fit")));
+        failed.extend(stands_in(&own.fit, &own.nuisances));
         failed.extend(self.left_to_a_law(row));
         failed.dedup();
         failed

@@ -26,6 +26,7 @@ use sandgait_table as table;
 mod acceleration;
 mod arm;
 mod arm_nuisances;
+mod broken;
 mod candidates;
 pub mod check;
 mod compared;
@@ -108,6 +109,7 @@ use candidates::SearchSpace;
 use check::Check;
 use check::finding::{Finding, settled};
 use experiment::{DataKind, Experiment};
+use force_log::ForceLogFile;
 use force_model::ForceLogModel;
 use forward::ForwardModel;
 use intruder_model::IntruderModel;
@@ -140,9 +142,9 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
 fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
     match experiment.file.kind {
         DataKind::Intrusion => {
-            let (log, trials) = force_log::read_rows(data, experiment, progress)?;
+            let ForceLogFile { log, trials, broken } = force_log::read_rows(data, experiment, progress)?;
             let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
-            let findings = check::force_log::check(data, &trials, &log, &model)?;
+            let findings = check::force_log::check(data, &trials, &log, &model, broken)?;
             let source = DataSource { sha256: log.sha256, notes: log.notes, findings };
             diagnose_measured(&log.observations, source, &model, progress)
         }

@@ -57,6 +57,11 @@ impl Nuisance {
         kind(self.id).is_some_and(|kind| !kind.remedy.is_empty())
     }
 
+    /// Is it an error of the model itself?
+    pub fn is_of_the_model(&self) -> bool {
+        kind(self.id).is_some_and(|kind| kind.kind == CauseKind::Robot && kind.remedy.is_empty())
+    }
+
     pub fn is(&self, other: &Self) -> bool {
         self.id == other.id && self.of == other.of
     }

@@ -13,7 +13,7 @@ pub fn rivals(table: &[Compared], k: usize) -> Vec<usize> {
     let best = models.max_by(|a, b| table[*a].elpd.total_cmp(&table[*b].elpd));
     let rival = |&r: &usize| {
         let explains = match table[r].role {
-            Role::Causes => !table[r].contains(&table[k]),
+            Role::Causes | Role::Beside => !table[r].contains(&table[k]),
             Role::Law => (!table[r].repeats.contains(&k) || table[r].beats[k]) && table[r].beats[base],
             _ => false,
         };

@@ -81,10 +81,10 @@ impl Selection {
         self.ruling.verdict == Verdict::Named && self.ruling.set.len() > 1
     }
 
-    /// Ids of what a row names, or the formula of its law.
+    /// Ids of what a row names, and the formula of its law.
     pub fn named(&self, row: usize) -> Vec<String> {
-        let law = self.fits.law(&self.table, row).filter(|_| self.entries[row].role == Role::Law);
-        law.map_or_else(|| self.ids(row), |law| vec![law.formula()])
+        let law = self.fits.law(&self.table, row).map(|law| law.formula());
+        self.ids(row).into_iter().chain(law).collect()
     }
 
     /// The one effect of measuring that shows although nothing is wrong with the sand.
@@ -280,7 +280,7 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         }
     }
     let mut ruling = with_one_name(verdict(entries, tested), fits, entries);
-    // Sand of another strength is a recalibration with one factor, so the same test holds for both.
+    // What only makes the stress of the law stronger or weaker is a recalibration, so the same test holds for both.
     let factor = ruling.verdict == Verdict::Named && is_strength(&entries[ruling.model].effects);
     if (factor || ruling.verdict == Verdict::Recalibrated)
         && let Some(left) = structure::left(with.study, &fits.contender(ruling.model))
@@ -346,9 +346,12 @@ fn with_one_name(mut ruling: Ruling, fits: &Fits, entries: &[Compared]) -> Rulin
     ruling
 }
 
-/// Is sand of another strength the only effect?
+/// Mechanisms that leave the form of the law's stress, and change its strength everywhere, with the depth, or with the size.
+const STRENGTHS: [&str; 3] = ["scale", "depth_power", OF_SIZE];
+
+/// Is one of these the only effect?
 fn is_strength(effects: &[Effect]) -> bool {
-    matches!(effects, [Effect::Mechanism(id)] if CATALOG[*id].id == "scale")
+    matches!(effects, [Effect::Mechanism(id)] if STRENGTHS.contains(&CATALOG[*id].id))
 }
 
 impl Judging<'_> {

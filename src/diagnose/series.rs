@@ -36,3 +36,15 @@ pub fn interpolate(from: &[f64], values: &[f64], at: f64) -> f64 {
     let share = if b > a { (at - a) / (b - a) } else { 0.0 };
     values[right - 1] + share * (values[right] - values[right - 1])
 }
+
+/// First and last index of each run of neighbours that are true.
+pub fn runs_of(flags: impl Iterator<Item = bool>) -> impl Iterator<Item = [usize; 2]> {
+    let mut runs: Vec<[usize; 2]> = Vec::new();
+    for (i, _) in flags.enumerate().filter(|f| f.1) {
+        match runs.last_mut().filter(|run| run[1] + 1 == i) {
+            Some(run) => run[1] = i,
+            None => runs.push([i, i]),
+        }
+    }
+    runs.into_iter()
+}

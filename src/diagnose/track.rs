@@ -47,6 +47,8 @@ pub struct Track {
     /// Position in the bed [m].
     pub x_bed: f64,
     pub poses: Vec<ArmPose>,
+    /// Places in `poses` of the samples whose forces are compared.
+    pub compared: Vec<usize>,
 }
 
 impl Track {
@@ -89,7 +91,7 @@ impl Track {
     /// A leg on fresh ground at x = 0.
     #[cfg(test)]
     pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<ArmPose>) -> Self {
-        let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
-        Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }
+        let (shape, beta, pass, pass_dx, x_bed, compared) = ("leg".into(), 0.0, 1, 0.0, 0.0, Vec::new());
+        Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses, compared }
     }
 }

@@ -1,11 +1,11 @@
-//! Looks for broken channels of a force sensor: saturation, outliers, a value that stands still, a late channel, a zero that was
-//! not taken. None of these is certain, so all are warnings.
+//! Looks for broken channels of a force sensor: a value that stands still, a late channel, a zero that was not taken. None of these is
+//! certain, so all are warnings. Saturation and outliers are found as the log is read ([`crate::broken`]).
 
 use super::finding::{Finding, Severity::Warn};
 use super::forces::agrees;
 use super::logged::LoggedTrial;
 use crate::observations::{Observations, Unit};
-use crate::series::{ends, interpolate, root_mean_square};
+use crate::series::{ends, interpolate, root_mean_square, runs_of};
 
 /// The forces of a file: measured and predicted, with the index of the sample that each number belongs to.
 pub struct Channels<'a> {
@@ -13,13 +13,13 @@ pub struct Channels<'a> {
     pub observations: &'a Observations,
     pub predicted: &'a [f64],
     /// Samples of each trial that are compared.
-    pub kept: &'a [Vec<usize>],
+    pub kept: &'a [&'a [usize]],
 }
 
 impl Channels<'_> {
     pub fn check(&self) -> Vec<Finding> {
         let count = self.observations.channels.len();
-        let of = |c| [self.empty(c), self.saturated(c), self.outlier(c), self.still(c), self.offset(c)];
+        let of = |c| [self.empty(c), self.still(c), self.offset(c)];
         let broken = (0..count).flat_map(of);
         broken.chain([self.late()]).flatten().collect()
     }
@@ -55,52 +55,6 @@ impl Channels<'_> {
         self.observations
             .is_empty(channel)
             .then(|| Finding::new(Warn, self.name(channel), what, "log the sensor's readings"))
-    }
-
-    /// The largest value of the file, of either sign, is reached exactly in many samples that follow each other. Three together in
-    /// two trials, or ten in one: our choice; noise repeats its largest value less often.
-    fn saturated(&self, channel: usize) -> Option<Finding> {
-        let [low, high] = ends(self.units().flat_map(|(_, u)| self.measured(u, channel).iter().copied()));
-        [low, high].into_iter().filter(|end| high > low && end.abs() >= 0.5 * low.abs().max(high.abs())).find_map(
-            |end| {
-                let mut longest = Vec::new();
-                for (u, unit) in self.units() {
-                    let all = runs_of(self.measured(unit, channel).iter().map(|v| *v == end));
-                    longest.extend(all.filter(|[a, b]| b - a >= 2).map(|run| (u, run)));
-                }
-                let (trial, [a, b]) = *longest.iter().max_by_key(|(_, [a, b])| b - a)?;
-                (longest.len() > 1 || b - a >= 9).then(|| {
-                    let what = format!(
-                        "stands at {end} in {} trials: the sensor or its amplifier is saturated",
-                        longest.len()
-                    );
-                    let remedy = "measure with a larger range, or leave these rows out";
-                    Finding::new(Warn, self.name(channel), what, remedy).at(self.rows(trial, a, b))
-                })
-            },
-        )
-    }
-
-    /// A single sample far from its neighbours.
-    fn outlier(&self, channel: usize) -> Option<Finding> {
-        let bend = |own: &[f64], i: usize| own[i] - 0.5 * (own[i - 1] + own[i + 1]);
-        let mut bends: Vec<(f64, usize, usize)> = Vec::new();
-        for (u, unit) in self.units() {
-            let (own, said) = (self.measured(unit, channel), self.predicted(unit, channel));
-            let inner = 1..own.len().saturating_sub(1);
-            bends.extend(inner.map(|i| ((bend(own, i) - bend(said, i)).abs(), u, i)));
-        }
-        bends.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (size, trial, i) = *bends.last()?;
-        let usual = bends[bends.len() * 9 / 10].0;
-        // 12 times what nine of ten samples have, and more than the channel's rms: our choice.
-        let count = bends.iter().rev().take_while(|b| b.0 > 12.0 * usual && b.0 > self.rms(channel)).count();
-        // The two neighbours of an outlier bend by half as much, so that up to three entries are one outlier.
-        (count > 0 && bends.len() >= 30).then(|| {
-            let what = format!("differs from both neighbours by {size:.3} (trial {})", self.trials[trial].id);
-            Finding::new(Warn, self.name(channel), what, "leave the row out if it is a fault of the logger")
-                .at(self.rows(trial, i, i))
-        })
     }
 
     /// A value that stays the same to the last digit while the sand's force must change.
@@ -200,16 +154,4 @@ impl Channels<'_> {
         };
         self.trials.iter().map(usual).fold(f64::MAX, f64::min).min(1.0)
     }
-}
-
-/// First and last index of each run of neighbours that are true.
-pub fn runs_of(flags: impl Iterator<Item = bool>) -> impl Iterator<Item = [usize; 2]> {
-    let mut runs: Vec<[usize; 2]> = Vec::new();
-    for (i, _) in flags.enumerate().filter(|f| f.1) {
-        match runs.last_mut().filter(|run| run[1] + 1 == i) {
-            Some(run) => run[1] = i,
-            None => runs.push([i, i]),
-        }
-    }
-    runs.into_iter()
 }

@@ -1,9 +1,8 @@
 //! Looks at a robot's own log: order of the quaternion, jumps of encoders, channels that stand still, are saturated or late.
 
-use super::channels::runs_of;
 use super::finding::{Finding, Severity::Refuse, Severity::Warn, joined};
 use super::ratio::products;
-use crate::series::{central_difference, ends, interpolate, root_mean_square};
+use crate::series::{central_difference, ends, interpolate, root_mean_square, runs_of};
 use crate::trajectory::log::Run;
 use std::f64::consts::TAU;
 

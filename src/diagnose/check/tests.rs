@@ -3,7 +3,7 @@
 use super::finding::{Finding, Severity};
 use crate::diagnose;
 use crate::experiment::Experiment;
-use crate::force_log::read_rows;
+use crate::force_log::{ForceLogFile, read_rows};
 use crate::force_model::ForceLogModel;
 use crate::intruder_log;
 use crate::intruder_model::IntruderModel;
@@ -66,9 +66,10 @@ fn file(text: &str) -> tempfile::NamedTempFile {
 /// What the check of a force log finds, or the error.
 fn found(text: &str, experiment: &Experiment) -> Result<Vec<Finding>, String> {
     let file = file(text);
-    let (log, trials) = read_rows(file.path(), experiment, &Silent).map_err(|e| e.to_string())?;
+    let ForceLogFile { log, trials, broken } =
+        read_rows(file.path(), experiment, &Silent).map_err(|e| e.to_string())?;
     let model = ForceLogModel::new(&log, experiment).unwrap();
-    super::force_log::check(file.path(), &trials, &log, &model).map_err(|e| e.to_string())
+    super::force_log::check(file.path(), &trials, &log, &model, broken).map_err(|e| e.to_string())
 }
 
 fn experiment(path: &str) -> Experiment {
@@ -234,7 +235,7 @@ fn other_dialects_and_clocks_give_the_same_log() {
     let (log, experiment) = legs();
     let values = |text: &str| {
         let file = file(text);
-        let (log, _) = read_rows(file.path(), &experiment, &Silent).unwrap();
+        let log = read_rows(file.path(), &experiment, &Silent).unwrap().log;
         (log.observations.values, log.settings.iter().flat_map(|t| t.poses.iter().map(|p| p.t)).collect::<Vec<_>>())
     };
     let plain = values(&log.text());
