@@ -291,7 +291,9 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
         ruling = verdict(entries, tested);
     }
     let measuring = entries[ruling.model].effects.iter().all(|e| matches!(e, Effect::Measuring(_)));
-    if with.strict && ruling.verdict == Verdict::Named && measuring {
+    // What is ambiguous becomes no part of all models, so it must be certain as it is.
+    let last = with.strict && ruling.verdict == Verdict::Named || ruling.verdict == Verdict::Ambiguous;
+    if last && measuring {
         let own = nested(ruling.model);
         if !own.is_certain() {
             withheld.push((ruling.model, vec![own.uncertain()]));
