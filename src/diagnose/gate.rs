@@ -13,7 +13,7 @@ use super::observations::Unit;
 use super::study::FitInputs;
 use super::verdict::{Compared, Effect, Role, base};
 use super::whiten::Whitener;
-use super::words::{after, digits};
+use super::words::{after, digits, of};
 use crate::number::dot;
 use crate::sand::Term;
 use crate::sand::mechanism::CATALOG;
@@ -39,11 +39,12 @@ pub fn far_coefficient(fit: &Fit) -> Option<String> {
     (furthest.abs() > FAR).then(|| format!("a stress coefficient moved by {furthest:+.1} stated sd"))
 }
 
-/// Says so if a fit needs errors of the model itself as large as they may be: then they stand in for something that nobody has found.
-fn stands_in(fit: &Fit, nuisances: &[Nuisance]) -> Option<String> {
-    let fitted = nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
-    let (own, d) = fitted.filter(|(n, _)| n.is_of_the_model()).find(|(_, d)| at_bound(**d))?;
-    Some(format!("{} is at its bound beside it, {:.3}{}", own.id, d * own.sd, after(own.unit)))
+/// Says so if a fit needs one of these effects as large as it may be: then it stands in for something that nobody has found.
+fn at_its_bound(own: &Assessment, counts: impl Fn(&Nuisance) -> bool) -> Option<String> {
+    let fitted = own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]);
+    let (n, d) = fitted.filter(|(n, _)| n.sd == n.stated_sd && counts(n)).find(|(_, d)| at_bound(**d))?;
+    let of = of(n.of.as_deref());
+    Some(format!("{}{of} is at its bound beside it, {:.3}{}", n.id, d * n.sd, after(n.unit)))
 }
 
 /// An effect with its strength.
@@ -224,7 +225,9 @@ impl NameTests<'_> {
         }
         failed.extend(own.powers.iter().filter_map(FreePower::said));
         failed.extend(far_coefficient(&own.fit).map(|said| format!("{said} beside it, so the force law does not fit")));
-        failed.extend(stands_in(&own.fit, &own.nuisances));
+        // Beside a cause of the sand, small errors of measuring may all be there.
+        let alone = measuring && self.entries[row].role == Role::Causes;
+        failed.extend(at_its_bound(own, |n| n.is_of_the_model() || alone && n.is_answer()));
         failed.extend(self.left_to_a_law(row));
         failed.dedup();
         failed

@@ -116,8 +116,9 @@ pub fn widened(
     MeasuredFit { fit, nuisances: last.nuisances }
 }
 
-/// The one effect of measuring that, within its stated prior, alone gives what all of them give to the plain model. None if they give
-/// nothing, or if more than one is needed or possible. `study` has the plain model.
+/// The one effect of measuring that alone gives what all of them, within their stated priors, give to the plain model. It is larger than
+/// its stated standard deviation: a smaller one is what the user expects. None if they give nothing, or if more than one is needed or
+/// possible. `study` has the plain model.
 pub fn alone(study: &FitInputs, plain: &Fit) -> Option<usize> {
     let count = study.nuisances.len();
     let only = |kept: Option<usize>| {
@@ -136,7 +137,7 @@ pub fn alone(study: &FitInputs, plain: &Fit) -> Option<usize> {
     };
     let reach = study.reach(plain, 1e6);
     let first = plain.ids.len() + COEFFICIENTS;
-    let certain = |k: &usize| plain.deviations[COEFFICIENTS + k].abs() > reach[first + k];
+    let certain = |k: &usize| plain.deviations[COEFFICIENTS + k].abs() > reach[first + k].max(1.0);
     let promising: Vec<usize> = (0..count).filter(certain).collect();
     let mut made = vec![only(None)];
     made.extend(parallel::map(&promising, |&k| only(Some(k))));

@@ -87,12 +87,15 @@ impl Selection {
         self.ids(row).into_iter().chain(law).collect()
     }
 
-    /// The one effect of measuring that shows although nothing is wrong with the sand.
+    /// The one effect of measuring that shows although nothing is wrong with the sand: nothing else predicts better than the base.
     fn shows(&self, study: &FitInputs) -> Option<usize> {
         let quiet = matches!(self.ruling.verdict, Verdict::NoiseFloor | Verdict::Recalibrated);
         let around = self.fits.candidates.around.about(study);
         let own = if self.standing.stated { around.stated() } else { around };
-        quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()
+        let found = quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()?;
+        let base = base(&self.entries);
+        let other = |e: &Compared| e.role == Role::Causes && e.effects != [Effect::Measuring(found)] && e.beats[base];
+        (!self.entries.iter().any(other)).then_some(found)
     }
 
     /// The power of the speed in the answer's law, or in that of the best answer that failed a test.
