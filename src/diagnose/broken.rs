@@ -23,8 +23,8 @@ pub struct Fault {
     samples: Vec<[usize; 2]>,
 }
 
-/// A sample is an outlier if both of its sides differ from it by more than this many times what nine of ten neighbouring samples have: our
-/// choice. For noise with a normal distribution it is some twelve standard deviations.
+/// A sample is an outlier if it is out of its neighbours' way by more than this many times what four of five samples nearby differ from the
+/// mean of their two neighbours: our choice. For noise with a normal distribution it is some twelve standard deviations.
 const OUTLYING: f64 = 8.0;
 /// It also differs by more than this share of the channel's rms: our choice. A smaller one does no harm, and the steps of a coarse
 /// converter are no outliers.
@@ -91,11 +91,13 @@ fn outliers(trials: &[TrialReadings], channel: usize) -> Option<Fault> {
     let jumps: Vec<Vec<f64>> = trials.iter().map(|t| jumps(&t.channels[channel])).collect();
     let least = LEAST * root_mean_square(readings(trials, channel));
     let outlying = |u: usize, i: usize| {
-        let own = &jumps[u];
-        let near = i.saturating_sub(NEAR)..(i + NEAR + 1).min(own.len());
-        let mut others: Vec<f64> = near.filter(|j| *j != i).map(|j| own[j].abs()).collect();
+        let own = &trials[u].channels[channel];
+        let near = i.saturating_sub(NEAR).max(1)..(i + NEAR + 1).min(own.len().saturating_sub(1));
+        // The two neighbours of an outlier differ from their mean by half as much.
+        let bend = |j: usize| (own[j] - 0.5 * (own[j - 1] + own[j + 1])).abs();
+        let mut others: Vec<f64> = near.filter(|j| j.abs_diff(i) > 1).map(bend).collect();
         others.sort_by(f64::total_cmp);
-        others.len() >= ENOUGH && own[i].abs() > (OUTLYING * others[others.len() * 9 / 10]).max(least)
+        others.len() >= ENOUGH && jumps[u][i].abs() > (OUTLYING * others[others.len() * 4 / 5]).max(least)
     };
     let all = (0..trials.len()).flat_map(|u| (0..jumps[u].len()).map(move |i| [u, i]));
     let mut found: Vec<[usize; 2]> = all.filter(|[u, i]| outlying(*u, *i)).collect();
@@ -117,24 +119,24 @@ fn outliers(trials: &[TrialReadings], channel: usize) -> Option<Fault> {
     })
 }
 
-/// How far each sample is from the straight lines through its two neighbours on the left and on the right; 0 if it is between the two. A
-/// step or a bend of the force has the value 0, and so do the neighbours of an outlier.
+/// How far each sample is from the straight lines through its two neighbours on the left and on the right, and at most twice as far as it
+/// is outside of all four; 0 if it is not outside, or between the lines, or at an end of the trial. So a step or a bend of the force has
+/// the value 0, the neighbours of an outlier have it, and the top of a smooth peak has a small one.
 fn jumps(own: &[f64]) -> Vec<f64> {
     let jump = |i: usize| {
-        let line = |near: usize, far: usize| Some(own[i] - (2.0 * own.get(near)? - own.get(far)?));
-        let left = i.checked_sub(2).and_then(|far| line(i - 1, far));
-        let sides = [left, line(i + 1, i + 2)];
-        let [a, b] = match sides {
-            [Some(a), Some(b)] => [a, b],
-            // At the ends of a trial the one neighbour counts.
-            _ => return 0.0,
-        };
-        if a * b > 0.0 { a.signum() * a.abs().min(b.abs()) } else { 0.0 }
+        if i < 2 || i + 2 >= own.len() {
+            return 0.0;
+        }
+        let near = [own[i - 2], own[i - 1], own[i + 1], own[i + 2]];
+        let [left, right] = [own[i] - (2.0 * near[1] - near[0]), own[i] - (2.0 * near[2] - near[3])];
+        let [low, high] = ends(near.into_iter());
+        let outside = (own[i] - high).max(low - own[i]).max(0.0);
+        if left * right > 0.0 { left.signum() * left.abs().min(right.abs()).min(2.0 * outside) } else { 0.0 }
     };
     (0..own.len()).map(jump).collect()
 }
 
-/// Do most other trials of the condition have the same peak at this place? Then it is no fault, but a force.
+/// Has half of the other trials of the condition the same peak at this place? Then it is no fault, but a force.
 fn repeated(trials: &[TrialReadings], jumps: &[Vec<f64>], u: usize, i: usize) -> bool {
     let (own, place) = (jumps[u][i], |i: usize, n: usize| i as f64 / n as f64);
     let others: Vec<usize> =
@@ -144,7 +146,7 @@ fn repeated(trials: &[TrialReadings], jumps: &[Vec<f64>], u: usize, i: usize) ->
         let near = |j: usize| (place(j, m) - place(i, n)).abs() <= 1.5 / m.min(n) as f64;
         (0..m).any(|j| near(j) && jumps[**k][j] * own > 0.0 && jumps[**k][j].abs() > 0.5 * own.abs())
     };
-    2 * others.iter().filter(same).count() > others.len()
+    !others.is_empty() && 2 * others.iter().filter(same).count() >= others.len()
 }
 
 #[cfg(test)]
