@@ -2,6 +2,7 @@
 //! each of these instead: its column times the logarithm of the quantity is the derivative by the power. If such a model predicts
 //! left-out conditions better, the law's form is rejected.
 
+use super::candidates::SECOND;
 use super::evidence::EvidenceTable;
 use super::fit::slope;
 use super::left_out::{Contender, LawColumn};
@@ -19,9 +20,6 @@ const VARIES: f64 = 0.2;
 /// than the noise. Few conditions hardly tell two models apart where their samples do. What grows otherwise with the depth is a layer, a
 /// crust or a bottom, which no cause is, and these look different to intruders of other sizes. What grows with the speed may be a second cause, and in grains all forces grow with it a little.
 const CLEAR: f64 = 1.5;
-/// A smaller power is no other form, however certain it is: our choice. Over a factor of two in the quantity it changes the effect by less
-/// than 15 %, which stated errors of sizes, angles and depths may do, too.
-const MATERIAL: f64 = 0.2;
 /// Least depth [m] and share of the greatest speed whose logarithm is used: our choices; the effects are negligible there.
 const SHALLOW: f64 = 2e-3;
 const SLOW: f64 = 0.02;
@@ -37,7 +35,8 @@ pub struct FreePower {
     pub ci95: [f64; 2],
     /// Does the interval exclude 0, and does a model with this power predict left-out conditions better beyond twice the standard error, or
     /// is 0, for a power of the depth or size, farther away than 1.5 halves of it, after the interval was widened to the model's errors?
-    /// And is the power at least 0.2?
+    /// A power does not count if its square in standard errors is less than 1 % of the cause's: it may be a small error in the law of a very
+    /// strong cause ([`SECOND`]).
     pub rejected: bool,
 }
 
@@ -112,6 +111,11 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
     let normal = now.normal_equations(model.fit);
     let reach = student::two_sided_95(degrees.max(2.0));
     let clear = CLEAR * table.lack(0).max(1.0).sqrt();
+    let covariance = now.covariance(model.fit);
+    let strength = |id: usize| {
+        let k = model.fit.ids.iter().position(|own| *own == id).unwrap_or(0);
+        model.fit.coordinates()[k].powi(2) / covariance[(k, k)]
+    };
     let tested = |(k, (id, by)): (usize, &(usize, &'static str))| {
         let column: Vec<f64> = columns[k].iter().copied().map(f64::from).collect();
         let [score, left] = normal.beside(&now.whitener.apply(&column), &model.fit.white)?;
@@ -122,7 +126,7 @@ pub fn free_powers(study: &FitInputs, model: &Contender, degrees: f64) -> Vec<Fr
             by: (*by).into(),
             power,
             ci95: [power - half, power + half],
-            rejected: certain && power.abs() > MATERIAL,
+            rejected: certain && power * power * left > SECOND * strength(*id),
         })
     };
     of.iter().enumerate().filter_map(tested).collect()

@@ -1,5 +1,6 @@
 //! The tests that every answer must pass before it is given a name, of whatever kind it is. What fails is said in words.
 
+use super::candidates::SECOND;
 use super::differences::NORMAL;
 use super::evidence::EvidenceTable;
 use super::fit::{COEFFICIENTS, Fit};
@@ -54,6 +55,8 @@ pub struct FoundEffect {
     pub value: f64,
     pub ci95: [f64; 2],
     pub at_bound: bool,
+    /// How many halves of its interval it is from being absent.
+    halves: f64,
     /// Does the interval exclude that the effect is absent?
     pub certain: bool,
 }
@@ -134,11 +137,11 @@ impl Assessing<'_> {
             Effect::Measuring(k) => {
                 let (own, d) = (&nuisances[k], fit.deviations[COEFFICIENTS + k]);
                 let half = reach[fit.ids.len() + COEFFICIENTS + k];
-                let certain = d.abs() > half;
+                let (certain, halves) = (d.abs() > half, d.abs() / half);
                 let half = half.hypot(self.simulated(d));
                 let ci95 = [own.sd * (d - half), own.sd * (d + half)];
                 let at_bound = at_bound(d);
-                FoundEffect { effect, value: own.sd * d, ci95, at_bound, certain }
+                FoundEffect { effect, value: own.sd * d, ci95, at_bound, halves, certain }
             }
             Effect::Mechanism(id) => {
                 let k = fit.ids.iter().position(|own| *own == id).unwrap_or(0);
@@ -146,6 +149,7 @@ impl Assessing<'_> {
                 let profiled = self.profiled.and_then(|p| p.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
                 let range = profiled.copied().unwrap_or([at - reach[k], at + reach[k]]);
                 let certain = range[0] > 0.0 || range[1] < 0.0;
+                let halves = 2.0 * at.abs() / (range[1] - range[0]);
                 let more = self.simulated(at);
                 let range = if more == 0.0 {
                     range
@@ -159,7 +163,7 @@ impl Assessing<'_> {
                 // allowed value replaces it.
                 let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
                 let ci95 = if entry.ceiling { [high, most] } else { [low, high] };
-                FoundEffect { effect, value: entry.value(at), ci95, at_bound: bounds.contains(&at), certain }
+                FoundEffect { effect, value: entry.value(at), ci95, at_bound: bounds.contains(&at), halves, certain }
             }
         }
     }
@@ -203,6 +207,10 @@ impl NameTests<'_> {
         }
         if own.found.iter().any(|found| !found.certain) {
             failed.push("the 95 % interval of its value does not exclude that it is absent".into());
+        }
+        let strongest = own.found.iter().map(|found| found.halves.powi(2)).fold(0.0, f64::max);
+        if own.found.iter().any(|found| found.halves.powi(2) < SECOND * strongest) {
+            failed.push("it may be a small error in the law of the other, far stronger cause".into());
         }
         if own
             .law

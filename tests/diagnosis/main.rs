@@ -1,5 +1,6 @@
 //! The diagnosis of force logs: it finds hidden causes, refuses bad data, and never panics.
 
+mod broken;
 mod damage;
 mod input;
 #[path = "../testbed/long.rs"]
