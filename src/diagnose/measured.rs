@@ -7,6 +7,7 @@ use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
 use super::settling::{FAR, bound, settled_nuisances};
 use super::study::FitInputs;
+use super::verdict::MAIN_PART;
 use crate::parallel;
 
 /// Factor on the prior standard deviation of an effect that may be the answer: our choice, so wide that the prior has no say
@@ -116,40 +117,41 @@ pub fn widened(
     MeasuredFit { fit, nuisances: last.nuisances }
 }
 
-/// The one effect of measuring that alone gives what all of them, within their stated priors, give to the plain model. It is larger than
-/// its stated standard deviation: a smaller one is what the user expects. None if they give nothing, or if more than one is needed or
-/// possible. `study` has the plain model.
-pub fn alone(study: &FitInputs, plain: &Fit) -> Option<usize> {
-    let count = study.nuisances.len();
-    let only = |kept: Option<usize>| {
-        let of = |(k, n): (usize, &Nuisance)| if Some(k) == kept { n.clone() } else { n.with_prior(0.0) };
-        let nuisances: Vec<Nuisance> = study.nuisances.iter().enumerate().map(of).collect();
-        let now = study.with_nuisances(nuisances);
-        let mut from = Fit { slopes: Vec::new(), ..plain.clone() };
-        from.deviations
-            .iter_mut()
-            .skip(COEFFICIENTS)
-            .enumerate()
-            .filter(|(k, _)| Some(*k) != kept)
-            .for_each(|(_, d)| *d = 0.0);
-        let fit = now.fit_from(&[&from]).swap_remove(0);
-        (fit, now.nuisances)
-    };
+/// The one effect of measuring that alone, with all others as stated, gives the main part of what all of them, within their stated priors,
+/// give to the plain model: small errors of all kinds are always there. It is larger than its stated standard deviation, because a smaller
+/// one is what the user expects, and no other one, and none of the `causes` (each with a value at which its fit begins), alone predicts as
+/// well. `study` has the plain model.
+pub fn alone(study: &FitInputs, plain: &Fit, causes: &[(usize, f64)]) -> Option<usize> {
+    let nothing: Vec<Nuisance> = study.nuisances.iter().map(|n| n.with_prior(0.0)).collect();
+    let exact = study.with_nuisances(nothing.clone());
+    let mut from = Fit { slopes: Vec::new(), ..plain.clone() };
+    from.deviations[COEFFICIENTS..].fill(0.0);
+    let none = exact.fit_from(&[&from]).swap_remove(0);
     let reach = study.reach(plain, 1e6);
     let first = plain.ids.len() + COEFFICIENTS;
-    let certain = |k: &usize| plain.deviations[COEFFICIENTS + k].abs() > reach[first + k].max(1.0);
-    let promising: Vec<usize> = (0..count).filter(certain).collect();
-    let mut made = vec![only(None)];
-    made.extend(parallel::map(&promising, |&k| only(Some(k))));
-    let mut models = vec![Contender { fit: plain, nuisances: &study.nuisances, columns: &[] }];
-    models.extend(made.iter().map(|(fit, nuisances)| Contender { fit, nuisances, columns: &[] }));
+    let tried = |&k: &usize| {
+        let (n, d) = (&study.nuisances[k], plain.deviations[COEFFICIENTS + k].abs());
+        n.is_answer() && n.sd > 0.0 && (n.of.is_none() || d > reach[first + k].max(1.0))
+    };
+    let effects: Vec<usize> = (0..study.nuisances.len()).filter(tried).collect();
+    let own = parallel::map(&effects, |&k| {
+        let (mut start, mut only) = (from.clone(), nothing.clone());
+        start.deviations[COEFFICIENTS + k] = plain.deviations[COEFFICIENTS + k] / WIDE;
+        only[k] = study.nuisances[k].clone();
+        widened(study, &from, only, (k, start), f64::INFINITY)
+    });
+    let others = parallel::map(causes, |&(id, value)| exact.fit(&[id], &[value]));
+    let bare = |fit| Contender { fit, nuisances: &exact.nuisances, columns: &[] };
+    let mut models = vec![Contender { fit: plain, nuisances: &study.nuisances, columns: &[] }, bare(&none)];
+    models.extend(own.iter().map(|one| Contender { fit: &one.fit, nuisances: &one.nuisances, columns: &[] }));
+    models.extend(others.iter().map(bare));
     let table = EvidenceTable::new(study, study.whitener, &models);
-    if !table.beats(0, 1) {
-        return None;
-    }
-    let mut enough = (0..promising.len()).filter(|k| !table.beats(0, k + 2) && table.beats(k + 2, 1));
-    let found = enough.next()?;
-    enough.next().is_none().then_some(promising[found])
+    let best = (0..effects.len()).max_by(|a, b| table.elpd(a + 2).total_cmp(&table.elpd(b + 2)))?;
+    let large = WIDE * own[best].fit.deviations[COEFFICIENTS + effects[best]].abs() > 1.0;
+    let gain = |row: usize| table.difference(row, 1)[0];
+    let main = table.beats(0, 1) && gain(best + 2) > MAIN_PART * gain(0);
+    let rival = |row: usize| row != best + 2 && !table.beats(best + 2, row);
+    (large && main && !(1..models.len()).any(rival)).then_some(effects[best])
 }
 
 /// Is what is wrong the robot, the measurement, or the sand?

@@ -89,10 +89,14 @@ impl Selection {
 
     /// The one effect of measuring that shows although nothing is wrong with the sand: nothing else predicts better than the base.
     fn shows(&self, study: &FitInputs) -> Option<usize> {
-        let quiet = matches!(self.ruling.verdict, Verdict::NoiseFloor | Verdict::Recalibrated);
+        let Ruling { verdict, written, model, .. } = self.ruling;
+        let nothing = verdict == Verdict::NoneOfThese && matches!(written, Written::Plain | Written::Recalibrated);
+        if !nothing && !matches!(verdict, Verdict::NoiseFloor | Verdict::Recalibrated) {
+            return None;
+        }
         let around = self.fits.candidates.around.about(study);
         let own = if self.standing.stated { around.stated() } else { around };
-        let found = quiet.then(|| super::measured::alone(&own, self.fits.fit(self.ruling.model))).flatten()?;
+        let found = super::measured::alone(&own, self.fits.fit(model), &self.fits.candidates.screened)?;
         let base = base(&self.entries);
         let other = |e: &Compared| e.role == Role::Causes && e.effects != [Effect::Measuring(found)] && e.beats[base];
         (!self.entries.iter().any(other)).then_some(found)

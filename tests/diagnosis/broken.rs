@@ -26,7 +26,11 @@ fn outliers_do_not_hide_a_cause() {
     let off = |force: f64| {
         count.set(count.get() + 1);
         let k = count.get();
-        if k.is_multiple_of(101) { force + 30.0 * (f64::from(k) * 0.7).sin().signum() + f64::from(k % 7) } else { force }
+        if k.is_multiple_of(101) {
+            force + 30.0 * (f64::from(k) * 0.7).sin().signum() + f64::from(k % 7)
+        } else {
+            force
+        }
     };
     drag(&diagnosis(&changed(&log(), &["Fz"], off)).report, "differs from both neighbours");
 }
