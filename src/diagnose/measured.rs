@@ -7,7 +7,6 @@ use super::left_out::Contender;
 use super::nuisance::{CauseKind, Nuisance, kind};
 use super::settling::{FAR, bound, settled_nuisances};
 use super::study::FitInputs;
-use super::verdict::MAIN_PART;
 use crate::parallel;
 
 /// Factor on the prior standard deviation of an effect that may be the answer: our choice, so wide that the prior has no say
@@ -23,6 +22,10 @@ const MOST: [usize; 2] = [10, 3];
 /// Number of effects, the most promising ones, whose fits begin at far values, too, beside those of all channels or shapes: our choice,
 /// because each fit takes time.
 const FAR_FITTED: usize = 3;
+
+/// An effect that alone is the answer gives at least this share of what all together give: our choice; small errors of the other kinds, which
+/// are always there, give the rest.
+const MOST_OF_ALL: f64 = 0.75;
 
 /// A model in which one effect of measuring has a wide prior.
 pub struct MeasuredFit {
@@ -117,8 +120,8 @@ pub fn widened(
     MeasuredFit { fit, nuisances: last.nuisances }
 }
 
-/// The one effect of measuring that alone, with all others as stated, gives the main part of what all of them, within their stated priors,
-/// give to the plain model: small errors of all kinds are always there. It is larger than its stated standard deviation, because a smaller
+/// The one effect of measuring that alone, with all others as stated, gives most of what all of them, within their stated priors, give to
+/// the plain model. It is larger than its stated standard deviation, because a smaller
 /// one is what the user expects, and no other one, and none of the `causes` (each with a value at which its fit begins), alone predicts as
 /// well. `study` has the plain model.
 pub fn alone(study: &FitInputs, plain: &Fit, causes: &[(usize, f64)]) -> Option<usize> {
@@ -149,7 +152,7 @@ pub fn alone(study: &FitInputs, plain: &Fit, causes: &[(usize, f64)]) -> Option<
     let best = (0..effects.len()).max_by(|a, b| table.elpd(a + 2).total_cmp(&table.elpd(b + 2)))?;
     let large = WIDE * own[best].fit.deviations[COEFFICIENTS + effects[best]].abs() > 1.0;
     let gain = |row: usize| table.difference(row, 1)[0];
-    let main = table.beats(0, 1) && gain(best + 2) > MAIN_PART * gain(0);
+    let main = gain(best + 2) > MOST_OF_ALL * gain(0);
     let rival = |row: usize| row != best + 2 && !table.beats(best + 2, row);
     (large && main && !(1..models.len()).any(rival)).then_some(effects[best])
 }
