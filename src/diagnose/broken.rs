@@ -43,8 +43,8 @@ pub fn faults(trials: &[TrialReadings]) -> Vec<Fault> {
     (0..channels).flat_map(|c| [saturated(trials, c), outliers(trials, c)]).flatten().collect()
 }
 
-/// For each trial, the samples that stay.
-pub fn sound(trials: &[TrialReadings], faults: &[Fault]) -> Vec<Vec<usize>> {
+/// For each trial, the samples that stay; None if most of them are broken, so that all stay.
+pub fn sound(trials: &[TrialReadings], faults: &[Fault]) -> Vec<Option<Vec<usize>>> {
     let mut broken: Vec<Vec<bool>> =
         trials.iter().map(|t| vec![false; t.channels.first().map_or(0, Vec::len)]).collect();
     for [trial, i] in faults.iter().flat_map(|fault| &fault.samples) {
@@ -52,8 +52,8 @@ pub fn sound(trials: &[TrialReadings], faults: &[Fault]) -> Vec<Vec<usize>> {
     }
     let stay = |broken: Vec<bool>| {
         let count = broken.iter().filter(|b| **b).count();
-        let all = count as f64 > MOST_OF_A_TRIAL * broken.len() as f64;
-        (0..broken.len()).filter(|&i| all || !broken[i]).collect()
+        let most = count as f64 > MOST_OF_A_TRIAL * broken.len() as f64;
+        (!most).then(|| (0..broken.len()).filter(|&i| !broken[i]).collect())
     };
     broken.into_iter().map(stay).collect()
 }
@@ -189,7 +189,7 @@ mod tests {
         assert!(found[0].what.contains("differs from both neighbours by") && found[0].what.ends_with("and 1 more"));
         let kept = sound(&trials, &found);
         let without = |i: usize| (0..40).filter(|k| *k != i).collect::<Vec<_>>();
-        assert_eq!(kept, [(0..40).collect(), without(15), without(30)]);
+        assert_eq!(kept, [(0..40).collect(), without(15), without(30)].map(Some));
         // A peak of all repetitions is a force.
         for trial in &mut trials {
             trial.channels[0][20] += 4.0;
@@ -206,6 +206,9 @@ mod tests {
         let found = faults(&trials);
         assert!(found[0].what.contains("stands at 10 in 3 trials"), "{}", found[0].what);
         let kept = sound(&trials, &found);
-        assert!(kept.iter().all(|k| k.len() < 40 && k.len() > 30 && !k.contains(&22)));
+        assert!(kept.iter().flatten().all(|k| k.len() < 40 && k.len() > 30 && !k.contains(&22)));
+        // A trial that is mostly saturated stays as it is.
+        trials[0].channels[0][..25].fill(10.0);
+        assert_eq!(sound(&trials, &faults(&trials)).iter().filter(|k| k.is_none()).count(), 1);
     }
 }

@@ -113,12 +113,17 @@ pub fn read_rows(path: &Path, experiment: &Experiment, progress: &dyn Progress) 
     let rests = without_rests(&mut trials);
     let logged: Vec<LoggedTrial> = trials.iter_mut().map(|trial| std::mem::take(&mut trial.logged)).collect();
     let channels = if torque { &CHANNELS[..] } else { &CHANNELS[..2] };
-    let faults = without_faults(&mut trials, channels.len());
+    let (faults, whole) = without_faults(&mut trials, channels.len());
     let found = |fault: &Fault| {
         let rows = fault.at.map(|i| logged[fault.trial].lines[i]);
         Finding::new(Severity::Warn, &channels[fault.channel].name, &*fault.what, fault.remedy).at(rows)
     };
-    let broken = faults.iter().map(found).collect();
+    let kept = |&trial: &usize| {
+        let names: Vec<&str> = channels.iter().map(|c| &*c.name).collect();
+        let what = format!("trial {} has faults in most of its rows, so all of them are used", logged[trial].id);
+        Finding::new(Severity::Warn, &names.join(", "), what, "leave the trial out").at(logged[trial].rows())
+    };
+    let broken = faults.iter().map(found).chain(whole.iter().map(kept)).collect();
     let mut log = assemble(trials, conditions.list, channels, missing, summary.sha256);
     log.notes.extend(rests.into_iter().chain(summary.notes));
     Ok(ForceLogFile { log, trials: logged, broken })
@@ -269,8 +274,9 @@ fn without_rests(trials: &mut [Growing]) -> Option<String> {
 const CHANNELS: [Channel; 3] =
     [Channel::new("Fx", "N", true), Channel::new("Fz", "N", true), Channel::new("Ty", "N·m", false)];
 
-/// Leaves rows out in which the sensor or the logger is at fault. Places of faults are samples of the trials.
-fn without_faults(trials: &mut [Growing], channels: usize) -> Vec<Fault> {
+/// Leaves rows out in which the sensor or the logger is at fault. Places of faults are samples of the trials. Also returns the trials that
+/// have faults in most of their rows, and keep them all.
+fn without_faults(trials: &mut [Growing], channels: usize) -> (Vec<Fault>, Vec<usize>) {
     let of = |trial: &Growing| {
         let series = |c: usize| trial.track.compared.iter().filter_map(|&i| trial.loads[i][c]).collect();
         TrialReadings {
@@ -284,11 +290,15 @@ fn without_faults(trials: &mut [Growing], channels: usize) -> Vec<Fault> {
     for fault in &mut faults {
         fault.at = fault.at.map(|i| trials[fault.trial].track.compared[i]);
     }
-    for (trial, sound) in trials.iter_mut().zip(broken::sound(&readings, &faults)) {
-        let own = &mut trial.track.compared;
-        *own = sound.into_iter().map(|i| own[i]).collect();
+    let mut whole = Vec::new();
+    for (place, sound) in broken::sound(&readings, &faults).into_iter().enumerate() {
+        let own = &mut trials[place].track.compared;
+        match sound {
+            Some(sound) => *own = sound.into_iter().map(|i| own[i]).collect(),
+            None => whole.push(place),
+        }
     }
-    faults
+    (faults, whole)
 }
 
 fn assemble(

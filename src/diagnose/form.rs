@@ -18,7 +18,8 @@ const VARIES: f64 = 0.2;
 /// A form is rejected without left-out conditions, too, if 0 is farther from a power of the depth or size than this many halves of its 95 %
 /// interval, 3 standard errors: our choice, as for a law beside a cause. They are those of the model's own errors where these are larger
 /// than the noise. Few conditions hardly tell two models apart where their samples do. What grows otherwise with the depth is a layer, a
-/// crust or a bottom, which no cause is, and these look different to intruders of other sizes. What grows with the speed may be a second cause, and in grains all forces grow with it a little.
+/// crust or a bottom, which no cause is, and these look different to intruders of other sizes. What grows with the speed may be a second
+/// cause, and in grains all forces grow with it a little.
 const CLEAR: f64 = 1.5;
 /// Least depth [m] and share of the greatest speed whose logarithm is used: our choices; the effects are negligible there.
 const SHALLOW: f64 = 2e-3;
