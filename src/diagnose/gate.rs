@@ -48,6 +48,11 @@ fn at_its_bound(own: &Assessment, counts: impl Fn(&Nuisance) -> bool) -> Option<
     Some(format!("{}{of} is at its bound beside it, {:.3}{}", n.id, d * n.sd, after(n.unit)))
 }
 
+/// Says so if the model needs errors of its own as large as they may be.
+pub fn inexact(own: &Assessment) -> Option<String> {
+    at_its_bound(own, Nuisance::is_of_the_model)
+}
+
 /// An effect with its strength.
 #[derive(Clone, Debug)]
 pub struct FoundEffect {
@@ -235,7 +240,7 @@ impl NameTests<'_> {
         failed.extend(far_coefficient(&own.fit).map(|said| format!("{said} beside it, so the force law does not fit")));
         // Beside a cause of the sand, small errors of measuring may all be there.
         let alone = measuring && self.entries[row].role == Role::Causes;
-        failed.extend(at_its_bound(own, |n| n.is_of_the_model() || alone && n.is_answer()));
+        failed.extend(inexact(own).or_else(|| at_its_bound(own, |n| alone && n.is_answer())));
         failed.extend(self.left_to_a_law(row));
         failed.dedup();
         failed

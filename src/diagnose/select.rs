@@ -109,9 +109,9 @@ impl Selection {
     }
 
     /// The same fits, judged again: see [`Judging::strict`].
-    fn stricter(self, study: &FitInputs, asked: &SearchSpace) -> Self {
+    fn stricter(self, study: &FitInputs, asked: &SearchSpace, refused: Option<&str>) -> Self {
         let around = self.fits.candidates.around.about(study);
-        let with = Judging { study: &around, asked, strict: true, profiled: self.profiled.as_deref() };
+        let with = Judging { study: &around, asked, strict: true, refused, profiled: self.profiled.as_deref() };
         let Judged { ruling, standing, withheld, nested } = judged(&with, &self.fits, &self.table, &self.entries);
         drop(around);
         Self { ruling, standing, withheld, nested, ..self }
@@ -152,6 +152,7 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         }
     }
     let mut selection = alone.map_or_else(|| attempt(study, study, asked, progress), Ok)?;
+    let mut refused = None;
     for _ in 0..ESTABLISHED {
         // In a robot's log small effects of measuring are always there; a large one is found by [`one_fault`].
         let small = || selection.shows(study).filter(|_| study.model.roughness().is_none());
@@ -162,11 +163,15 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         if !next.stands() {
             break;
         }
+        refused = gate::inexact(&next.standing);
+        if refused.is_some() {
+            break;
+        }
         selection = next;
     }
     // An effect of measuring that did not become a part of all models must be certain as it is.
-    if selection.establishes().is_some() && !selection.nested.is_certain() {
-        selection = selection.stricter(study, asked);
+    if selection.establishes().is_some() && (refused.is_some() || !selection.nested.is_certain()) {
+        selection = selection.stricter(study, asked, refused.as_deref());
     }
     Ok(selection)
 }
@@ -202,7 +207,7 @@ fn attempt(study: &FitInputs, stated: &FitInputs, asked: &SearchSpace, progress:
     progress.report(0.85, "held-out conditions")?;
     let table = EvidenceTable::new(&renewed, renewed.whitener, &fits.contenders());
     let entries = entries(&renewed, &table, &fits, asked);
-    let with = Judging { study: &renewed, asked, strict: false, profiled: profiled.as_deref() };
+    let with = Judging { study: &renewed, asked, strict: false, refused: None, profiled: profiled.as_deref() };
     let Judged { ruling, standing, withheld, nested } = judged(&with, &fits, &table, &entries);
     drop(renewed);
     let unseen = asked.unseen.to_vec();
@@ -234,6 +239,8 @@ struct Judging<'a> {
     asked: &'a SearchSpace<'a>,
     /// Must the error with an effect of measuring be certainly less, too?
     strict: bool,
+    /// Why an effect of measuring is no answer, if that is known.
+    refused: Option<&'a str>,
     /// Intervals of the leading fit's values, for models whose slopes are not reliable.
     profiled: Option<&'a [[f64; 2]]>,
 }
@@ -302,8 +309,10 @@ fn judged(with: &Judging, fits: &Fits, table: &EvidenceTable, entries: &[Compare
     let last = with.strict && ruling.verdict == Verdict::Named || ruling.verdict == Verdict::Ambiguous;
     if last && measuring {
         let own = nested(ruling.model);
-        if !own.is_certain() {
-            withheld.push((ruling.model, vec![own.uncertain()]));
+        let uncertain = (!own.is_certain()).then(|| own.uncertain());
+        let why: Vec<String> = with.refused.map(String::from).into_iter().chain(uncertain).collect();
+        if !why.is_empty() {
+            withheld.push((ruling.model, why));
             tested.leading = tested.leading.map(|(row, _)| (row, false));
             ruling = verdict(entries, tested);
         }
