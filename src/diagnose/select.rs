@@ -146,9 +146,14 @@ pub fn select(study: &FitInputs, asked: &SearchSpace, progress: &dyn Progress) -
         let alone_asked = SearchSpace { ids: &causes, ..*asked };
         let found =
             attempt(&one, &as_described(study), &alone_asked, &ShareOfProgress { whole: progress, from: 0.05 })?;
-        if found.stands() {
-            nuisances.clone_from(&one.nuisances);
-            alone = Some(found);
+        let names = || ids(&found.fits, &found.entries, found.ruling.model).join(" + ");
+        match gate::inexact(&found.standing) {
+            Some(why) if found.stands() => progress.note(&format!("{} alone is no answer: {why}", names())),
+            None if found.stands() => {
+                nuisances.clone_from(&one.nuisances);
+                alone = Some(found);
+            }
+            _ => (),
         }
     }
     let mut selection = alone.map_or_else(|| attempt(study, study, asked, progress), Ok)?;
