@@ -48,9 +48,11 @@ fn at_its_bound(own: &Assessment, counts: impl Fn(&Nuisance) -> bool) -> Option<
     Some(format!("{}{of} is at its bound beside it, {:.3}{}", n.id, d * n.sd, after(n.unit)))
 }
 
-/// Says so if the model needs errors of its own as large as they may be.
+/// Says so if the model needs errors of its own as large as they may be. They are errors of a robot's torques, so they say nothing against an
+/// answer in its IMU.
 pub fn inexact(own: &Assessment) -> Option<String> {
-    at_its_bound(own, Nuisance::is_of_the_model)
+    let imu = |found: &FoundEffect| matches!(found.effect, Effect::Measuring(k) if own.nuisances[k].is_of_the_imu());
+    at_its_bound(own, Nuisance::is_of_the_model).filter(|_| !own.found.iter().all(imu))
 }
 
 /// An effect with its strength.

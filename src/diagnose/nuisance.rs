@@ -57,6 +57,11 @@ impl Nuisance {
         kind(self.id).is_some_and(|kind| !kind.remedy.is_empty())
     }
 
+    /// Is it an error of a robot's IMU?
+    pub fn is_of_the_imu(&self) -> bool {
+        ["imu_rotation", "imu_delay", "imu_blur", "gyro_bias", "acc_bias"].contains(&self.id)
+    }
+
     /// Is it an error of the model itself?
     pub fn is_of_the_model(&self) -> bool {
         kind(self.id).is_some_and(|kind| kind.kind == CauseKind::Robot && kind.remedy.is_empty())
