@@ -40,19 +40,25 @@ pub fn far_coefficient(fit: &Fit) -> Option<String> {
     (furthest.abs() > FAR).then(|| format!("a stress coefficient moved by {furthest:+.1} stated sd"))
 }
 
-/// Says so if a fit needs one of these effects as large as it may be: then it stands in for something that nobody has found.
-fn at_its_bound(own: &Assessment, counts: impl Fn(&Nuisance) -> bool) -> Option<String> {
+/// Names each of these effects that a fit needs as large as it may be: then it stands in for something that nobody has found.
+pub fn at_their_bounds(own: &Assessment, counts: impl Fn(&Nuisance) -> bool) -> impl Iterator<Item = String> {
     let fitted = own.nuisances.iter().zip(&own.fit.deviations[COEFFICIENTS..]);
-    let (n, d) = fitted.filter(|(n, _)| n.sd == n.stated_sd && counts(n)).find(|(_, d)| at_bound(**d))?;
-    let of = of(n.of.as_deref());
-    Some(format!("{}{of} is at its bound beside it, {:.3}{}", n.id, d * n.sd, after(n.unit)))
+    fitted.filter(move |(n, d)| n.sd == n.stated_sd && counts(n) && at_bound(**d)).map(|(n, d)| {
+        let of = of(n.of.as_deref());
+        format!("{}{of} is at its bound, {:.3}{}", n.id, d * n.sd, after(n.unit))
+    })
+}
+
+/// Says so if an answer needs one of these effects as large as it may be.
+fn needs_a_bound(own: &Assessment, counts: impl Fn(&Nuisance) -> bool) -> Option<String> {
+    at_their_bounds(own, counts).next().map(|said| format!("beside it {said}"))
 }
 
 /// Says so if the model needs errors of its own as large as they may be. They are errors of a robot's torques, so they say nothing against an
 /// answer in its IMU.
 pub fn inexact(own: &Assessment) -> Option<String> {
     let imu = |found: &FoundEffect| matches!(found.effect, Effect::Measuring(k) if own.nuisances[k].is_of_the_imu());
-    at_its_bound(own, Nuisance::is_of_the_model).filter(|_| !own.found.iter().all(imu))
+    needs_a_bound(own, Nuisance::is_of_the_model).filter(|_| !own.found.iter().all(imu))
 }
 
 /// An effect with its strength.
@@ -242,7 +248,7 @@ impl NameTests<'_> {
         failed.extend(far_coefficient(&own.fit).map(|said| format!("{said} beside it, so the force law does not fit")));
         // Beside a cause of the sand, small errors of measuring may all be there.
         let alone = measuring && self.entries[row].role == Role::Causes;
-        failed.extend(inexact(own).or_else(|| at_its_bound(own, |n| alone && n.is_answer())));
+        failed.extend(inexact(own).or_else(|| needs_a_bound(own, |n| alone && n.is_answer())));
         failed.extend(self.left_to_a_law(row));
         failed.dedup();
         failed

@@ -85,6 +85,10 @@ fn fitting(clauses: impl IntoIterator<Item = String>) -> String {
 /// How far measured forces are from the prediction. A robot's readings are no forces, so how strong its sand is.
 pub fn below(r: &Report) -> Option<String> {
     let Some(recalibration) = &r.recalibration else { return None };
+    let [low, high] = recalibration.ci95;
+    if r.verdict == Verdict::Recalibrated && (low..=high).contains(&1.0) {
+        return Some("the sand is as strong as stated on average, but single coefficients differ".into());
+    }
     let share = 100.0 * (recalibration.factor - 1.0);
     let [side, than] = if share < 0.0 { ["below", "weaker"] } else { ["above", "stronger"] };
     let forces = r.gain.in_units.as_ref().is_none_or(|gain| gain.unit == "N");

@@ -3,7 +3,7 @@
 use super::differences::NORMAL;
 use super::errors::SquaredErrors;
 use super::fit::{COEFFICIENTS, Fit, slope};
-use super::gate::{FoundEffect, far_coefficient};
+use super::gate::{FoundEffect, at_their_bounds, far_coefficient};
 use super::gauss_newton::at_bound;
 use super::headline::{ALARM, kind_of_mechanism};
 use super::laws::FittedLaw;
@@ -191,13 +191,7 @@ impl ReportView<'_> {
         warnings.extend(self.selection.is_of_several().then(|| of_several.to_string()));
         let own = &self.selection.standing;
         warnings.extend(far_coefficient(&own.fit).map(|said| format!("{ALARM}{said}")));
-        let nuisances = own.nuisances.iter();
-        let at_end = nuisances.zip(own.fit.deviations.iter().skip(COEFFICIENTS));
-        let at_end = at_end.filter(|(n, d)| n.sd == n.stated_sd && at_bound(**d));
-        warnings.extend(at_end.map(|(nuisance, d)| {
-            let of = of(nuisance.of.as_deref());
-            format!("{ALARM}{}{of} is at its bound, {:.3}{}", nuisance.id, d * nuisance.sd, after(nuisance.unit))
-        }));
+        warnings.extend(at_their_bounds(own, |_| true).map(|said| format!("{ALARM}{said}")));
         warnings.extend(self.absorbed(values));
         let unfelt = own.fit.mechanisms.unfelt_by_walkers();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
