@@ -221,6 +221,9 @@ impl NameTests<'_> {
         if own.found.iter().any(|found| !found.certain) {
             failed.push("the 95 % interval of its value does not exclude that it is absent".into());
         }
+        if own.found.iter().any(|found| found.at_bound && matches!(found.effect, Effect::Measuring(_))) {
+            failed.push("it is as large as it may be, so it stands in for something else".into());
+        }
         let strongest = own.found.iter().map(|found| found.halves.powi(2)).fold(0.0, f64::max);
         if own.found.iter().any(|found| found.halves.powi(2) < SECOND * strongest) {
             failed.push("it may be a small error in the law of the other, far stronger cause".into());

@@ -1,6 +1,6 @@
 //! The first lines of a report: what is wrong, how much, how sure, and what to do.
 
-use super::nuisance::{CauseKind, kind};
+use super::nuisance::{CauseKind, NuisanceKind, kind};
 use super::report::{Cause, Report};
 use super::split::percent;
 use super::verdict::{Verdict, Written};
@@ -119,7 +119,8 @@ pub fn headline(r: &Report) -> String {
             clauses.push("the law fits, and the sand file has the fitted coefficients".into());
         }
         Verdict::Named => {
-            let sand = r.causes.iter().any(|c| c.kind == CauseKind::Sand);
+            let bed = |c: &Cause| kind(&c.id).is_some_and(NuisanceKind::may_be_of_beds);
+            let sand = r.causes.iter().any(|c| c.kind == CauseKind::Sand || bed(c));
             clauses.push(r.causes.iter().map(found).collect::<Vec<_>>().join(" and "));
             clauses.extend((!sand).then(|| "not the sand".to_string()));
         }
@@ -168,7 +169,8 @@ pub fn action(r: &Report) -> String {
         Verdict::Named => {
             let measured: Vec<String> =
                 r.causes.iter().filter(|c| c.kind != CauseKind::Sand).filter_map(remedy).collect();
-            let sand = r.causes.iter().any(|c| c.kind == CauseKind::Sand);
+            let bed = |c: &Cause| kind(&c.id).is_some_and(NuisanceKind::may_be_of_beds);
+            let sand = r.causes.iter().any(|c| c.kind == CauseKind::Sand || bed(c));
             let file = "Simulate with sand.toml, within its range of validity";
             let mut all = measured;
             all.extend(sand.then(|| file.to_string()));

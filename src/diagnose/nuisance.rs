@@ -164,7 +164,7 @@ kinds! {
     "joint_zero" "rad" 0.02 Measurement true [], "the zero of the leg's angle is off", "Add the value to the logged angle, or calibrate the encoder";
     "size" "1" 0.02 Measurement true [], "the intruder has another size than stated", "Measure the intruder, and state its true length and width";
     "origin" "m" 1e-3 Measurement true [], "torques are taken about another point than stated", "State the place of the sensor, or move the torques to the hip or plate centre";
-    "gain_drift" "1" 0.005 Measurement false [], "forces change from trial to trial in the order of the file", "Calibrate the load cell before and after the session, and prepare all beds alike";
+    "gain_drift" "1" 0.005 Measurement false [], "forces change from trial to trial in the order of the file: the load cell, or the beds", "Calibrate the load cell before and after the session, and prepare all beds alike";
     "cross_talk" "1" 0.02 Measurement true [], "a part of one force channel appears in the other", "Calibrate the load cell with loads along each axis";
     "geometry" "m" 1e-3 Measurement false [], "the body has another size than stated", "Measure the body";
     "surface_friction" "1" 0.15 Measurement false [], "the body's surface has another friction than stated", "Measure the friction of the body's surface";
@@ -192,6 +192,11 @@ pub fn kind(id: &str) -> Option<&'static NuisanceKind> {
 }
 
 impl NuisanceKind {
+    /// May beds that change look the same? Then nobody can say that it is not the sand.
+    pub fn may_be_of_beds(&self) -> bool {
+        matches!(self.id, "gain_drift" | "bed_strength")
+    }
+
     /// The words for an error of this value, or of unknown sign: what is late by less than nothing is early.
     pub fn said(&self, value: Option<f64>) -> String {
         let late = match value {
